@@ -1,0 +1,43 @@
+"""Errors that say what was wrong, why that is likely, and what to do.
+
+One class serves both packages (`implicit_warp.errors` re-exports it), so that a
+caller can catch every rejected argument with one name, and the command line can
+turn it into exit code 2.
+"""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """An argument that cannot be used.
+
+    The message always has the same four parts: which argument, which value, the
+    likely cause, and the remedy. They are also attributes, so that a user interface
+    can lay them out.
+
+    Args:
+        argument: name of the argument as the caller wrote it.
+        value: the offending value; long ones are abbreviated in the message.
+        cause: what is wrong with it, as a clause without a final full stop.
+        remedy: what to do instead, as a clause without a final full stop.
+    """
+
+    def __init__(self, argument: str, value: object, cause: str, remedy: str) -> None:
+        self.argument = argument
+        self.value = value
+        self.cause = cause
+        self.remedy = remedy
+        super().__init__(f"{argument} = {_short(value)}: {cause}. {remedy}.")
+
+
+class MissingDependency(ImportError):
+    """An optional library that a feature needs is not installed or does not load."""
+
+    def __init__(self, library: str, needed_for: str, remedy: str) -> None:
+        self.library = library
+        super().__init__(f"{needed_for} needs {library}, which could not be imported. {remedy}.")
+
+
+def _short(value: object, limit: int = 120) -> str:
+    text = repr(value)
+    return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -1,0 +1,445 @@
+"""The class of all fields."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from inspect import signature
+from typing import ParamSpec, final, overload
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from fields import arguments, notation, operations
+from fields.errors import InputError
+from fields.expression import Expression, X, Y, Z, call, remap
+from fields.notation import Call, History, Opaque
+from fields.operations import RULES, Body, Rule
+from fields.oracle import FunctionOracle, Oracle
+from fields.tags import EVERYWHERE, Tags
+from fields.tape import Tape
+
+_P = ParamSpec("_P")
+
+
+@final
+class Field:
+    """A scalar function on R^3 whose zero set is a surface; negative inside.
+
+    Immutable. Made by the primitives (`fields.sphere` and so on), combined with `|`
+    (union), `&` (intersection) and `-` (difference), and by the methods below, each of
+    which is also a function of the package (`fields.translate(a, v)` is
+    `a.translate(v)`). Calling the class itself wraps an expression of `fields.expression`.
+
+    Args:
+        expression: the formula.
+        exact: is it a true signed distance to its zero set, everywhere? It is the
+            caller's word; with it, `lipschitz` is 1.
+        lipschitz: a bound on the norm of the gradient, or None if none is known.
+        bounds: a box `(2, 3)`, rows minimum and maximum, that holds the zero set and
+            the inside; None if there is none or it is not known.
+
+    Raises:
+        InputError: an argument is not of the kind described.
+    """
+
+    __slots__ = ("_body", "_tape", "history")
+
+    _body: Body
+    _tape: Tape | None
+    history: History
+    """How the field was made; what `repr` writes."""
+
+    def __init__(
+        self,
+        expression: Expression,
+        *,
+        exact: bool = False,
+        lipschitz: float | None = None,
+        bounds: ArrayLike | None = None,
+    ) -> None:
+        if not isinstance(expression, Expression):
+            raise InputError(
+                "expression",
+                expression,
+                "a field is made of an Expression",
+                "build it from fields.expression.X, Y and Z, or use fields.from_function",
+            )
+        self._body = Body(expression, _stated_tags(exact, lipschitz, bounds))
+        self._tape = None
+        self.history = Opaque("expression")
+
+    # --- facts ---
+
+    @property
+    def expression(self) -> Expression:
+        """The formula, a node of the expression graph."""
+        return self._body.expression
+
+    @property
+    def exact(self) -> bool:
+        """Is every value the true signed Euclidean distance to the zero set?
+
+        False means "not known to be": a union or offset may be exact in part.
+        """
+        return self._body.tags.exact
+
+    @property
+    def lipschitz(self) -> float | None:
+        """A bound on the norm of the gradient; None if none is known."""
+        return self._body.tags.lipschitz
+
+    @property
+    def bounds(self) -> NDArray[np.float64] | None:
+        """A box that holds the zero set and the inside; None if unbounded or unknown.
+
+        Shape `(2, 3)`, rows minimum and maximum, in world units, a fresh copy.
+        Conservative up to float64 rounding, not tight: CSG bounds are made of its
+        parts' boxes. Where the boxes of an intersection do not meet, the result is
+        empty and its box has zero width on some axis.
+        """
+        bounds = self._body.tags.bounds
+        return None if bounds is None else bounds.copy()
+
+    @property
+    def tape(self) -> Tape:
+        """The instructions that compute the field; made on first use and kept."""
+        if self._tape is None:
+            self._tape = Tape(self.expression)
+        return self._tape
+
+    def __repr__(self) -> str:
+        return notation.written(self)
+
+    def __copy__(self) -> Field:
+        return self
+
+    def __deepcopy__(self, memo: object) -> Field:
+        return self
+
+    # --- values ---
+
+    @overload
+    def __call__(self, points: Tensor) -> Tensor: ...
+    @overload
+    def __call__(self, points: ArrayLike) -> NDArray[np.floating]: ...
+    def __call__(self, points: ArrayLike | Tensor) -> NDArray[np.floating] | Tensor:
+        """Values at points.
+
+        Args:
+            points: `(..., 3)`. A tensor gives a tensor in the same dtype and on the same
+                device, with gradients; anything else is read by numpy and gives an array,
+                float32 for float32 and float64 otherwise.
+
+        Returns:
+            `(...)`, negative inside, in the units of the points if the field is exact.
+
+        Raises:
+            InputError: the shape does not end in 3, the dtype is not real, or a point
+                is NaN or infinite.
+        """
+        checked = arguments.points_tensor("points", points)
+        if isinstance(points, Tensor):
+            return self.evaluate(checked)
+        with torch.no_grad():
+            return self.evaluate(checked).contiguous().numpy()[()]
+
+    def evaluate(self, points: Tensor) -> Tensor:
+        """Values `(...)` at a floating tensor of points `(..., 3)`, without checks.
+
+        For inner loops: NaN points give NaN values, and wrong shapes fail somewhere
+        inside. The result may share its memory between points if the field is constant.
+        """
+        return self.tape.evaluate(points)
+
+    @overload
+    def gradient(self, points: Tensor) -> Tensor: ...
+    @overload
+    def gradient(self, points: ArrayLike) -> NDArray[np.floating]: ...
+    def gradient(self, points: ArrayLike | Tensor) -> NDArray[np.floating] | Tensor:
+        """The gradient at points, by automatic differentiation.
+
+        Always finite. Where the field has a crease the result is one of the directions
+        in between; where it has none at all (the centre of a sphere) it is zero. The
+        table in `fields.expression` has the choices.
+
+        Args:
+            points: `(..., 3)` as for a call. If it is a tensor that requires a gradient,
+                the result can be differentiated again.
+
+        Returns:
+            `(..., 3)`.
+
+        Raises:
+            InputError: as for a call; or an oracle does not support gradients.
+        """
+        checked = arguments.points_tensor("points", points)
+        keep_graph = checked.requires_grad and torch.is_grad_enabled()
+        with torch.enable_grad():
+            at = checked if keep_graph else checked.detach().requires_grad_()
+            values = self.evaluate(at)
+            if values.requires_grad:
+                (result,) = torch.autograd.grad(
+                    values, at, torch.ones_like(values), create_graph=keep_graph
+                )
+            else:
+                result = torch.zeros_like(at)
+        return result if isinstance(points, Tensor) else result.numpy()
+
+    # --- combinations ---
+
+    def __or__(self, other: Field) -> Field:
+        return self.union(other) if isinstance(other, Field) else NotImplemented
+
+    def __and__(self, other: Field) -> Field:
+        return self.intersection(other) if isinstance(other, Field) else NotImplemented
+
+    def __sub__(self, other: Field) -> Field:
+        return self.difference(other) if isinstance(other, Field) else NotImplemented
+
+    def union(self, *others: Field, smooth: float = 0.0) -> Field:
+        """The points in any of the fields: min(a, b, ...).
+
+        Args:
+            others: fields to unite with.
+            smooth: blend radius k, a field value. Where two values differ by less than
+                k the crease is replaced by a quadratic blend (Quilez's polynomial smooth
+                minimum), continuous in the gradient, which adds material up to k/4
+                thick. Blends are applied from left to right; their order matters.
+
+        Returns:
+            The union. Exact only if the parts are and their bounds are apart. Bounds are
+            lost if `smooth` > 0 and a part is a remapped field without `growth`.
+        """
+        return _derived(operations.union, (self, *others), smooth=smooth)
+
+    def intersection(self, *others: Field, smooth: float = 0.0) -> Field:
+        """The points in all of the fields: max(a, b, ...). Not exact.
+
+        Args:
+            others: fields to intersect with.
+            smooth: blend radius as for `union`; the blend removes material.
+        """
+        return _derived(operations.intersection, (self, *others), smooth=smooth)
+
+    def difference(self, *others: Field, smooth: float = 0.0) -> Field:
+        """The points in this field and in none of the others: max(a, -b, ...). Not exact.
+
+        Args:
+            others: fields to take away.
+            smooth: blend radius as for `union`; the blend removes material.
+        """
+        return _derived(operations.difference, (self, *others), smooth=smooth)
+
+    def negate(self) -> Field:
+        """The complement: -a, with inside and outside exchanged. Unbounded."""
+        return _derived(operations.negate, (self,))
+
+    # --- motions ---
+
+    def translate(self, offset: ArrayLike) -> Field:
+        """Moved by a vector."""
+        return _derived(operations.translate, (self,), offset=offset)
+
+    def rotate(self, rotation: float | ArrayLike, axis: str | ArrayLike = "z") -> Field:
+        """Turned about the origin.
+
+        Args:
+            rotation: an angle in degrees, right-handed about `axis`; or a 3x3 rotation
+                matrix R, which sends each point p of the field to R p.
+            axis: "x", "y", "z", one of these with a minus sign, or a vector of any
+                length. Not used with a matrix.
+
+        Raises:
+            InputError: the matrix is not a rotation to 1e-6, or the axis is zero.
+        """
+        return _derived(operations.rotate, (self,), rotation=rotation, axis=axis)
+
+    def orient(self, axis: str | ArrayLike) -> Field:
+        """Turned about the origin by the shortest way that sends +z to `axis`.
+
+        Args:
+            axis: "x", "y", "z", one of these with a minus sign, or a vector of any
+                length. For "-z" it is the half turn about x.
+        """
+        return _derived(operations.orient, (self,), axis=axis)
+
+    def scale(self, factor: float | ArrayLike) -> Field:
+        """Scaled about the origin.
+
+        Args:
+            factor: one positive factor, which keeps an exact field exact; or three,
+                one an axis, which keeps the Lipschitz bound but not exactness.
+        """
+        return _derived(operations.scale, (self,), factor=factor)
+
+    # --- thickness ---
+
+    def offset(self, distance: float) -> Field:
+        """Grown by a distance, or shrunk by a negative one: a - distance.
+
+        Of a distance it is the true offset surface; the field remains a distance only
+        outside it (grown) or inside (shrunk), so it is not tagged exact.
+        """
+        return _derived(operations.offset, (self,), distance=distance)
+
+    def shell(self, thickness: float) -> Field:
+        """The surface made solid, half of the thickness on each side: |a| - thickness/2.
+
+        The surface itself vanishes. Not exact. Of a field that is not a distance the
+        thickness varies.
+        """
+        return _derived(operations.shell, (self,), thickness=thickness)
+
+    # --- under a map ---
+
+    def remap(
+        self,
+        function: Callable[[Tensor], Tensor] | Oracle,
+        *,
+        lipschitz: float | None = None,
+        bounds: ArrayLike | None = None,
+        growth: float | None = None,
+        name: str | None = None,
+    ) -> Field:
+        """This field with its points replaced: p -> a(function(p)).
+
+        To carry a shape forward by an injective map f, pass the inverse of f.
+
+        Args:
+            function: maps a tensor of points `(..., 3)` to points `(..., 3)`.
+            lipschitz: the Lipschitz bound of the *result*, such as that of this field
+                times that of the function; None if unknown.
+            bounds: a box `(2, 3)` of the *result*, or None.
+            growth: a number g such that the result is at most t only within g * t of the
+                bounds, for every t >= 0; it keeps bounds through offsets, shells and
+                smooth unions. For an exact field and a map f, the Lipschitz bound of f.
+            name: shown by `repr`; the function's own name if None.
+
+        Returns:
+            A field that is not exact.
+
+        Raises:
+            InputError: an argument is not of the kind described. On evaluation: the
+                function returned another shape, or no gradient where one was asked for.
+        """
+        oracle = _as_oracle(function, name, outputs=3)
+        tags = _stated_tags(False, lipschitz, bounds, growth)
+        x, y, z = call(oracle, (X, Y, Z))
+        body = Body(remap(self.expression, (x, y, z)), tags)
+        return make_field(body, Call("remap", (self,), (Opaque(oracle.name),)))
+
+
+# --- making fields --------------------------------------------------------------------
+
+
+def make_field(body: Body, history: History) -> Field:
+    """A field from a body and a record of how it was made (for use in this package)."""
+    field = object.__new__(Field)
+    field._body = body
+    field._tape = None
+    field.history = history
+    return field
+
+
+PRIMITIVES: dict[str, Callable[..., Field]] = {}
+"""Every primitive by name: the constructors that `fields.parse` accepts, and the list
+from which the tests draw."""
+
+
+def primitive(function: Callable[_P, Body]) -> Callable[_P, Field]:
+    """Make a constructor of fields from one of bodies, and enter it into `PRIMITIVES`."""
+    own_signature = signature(function)
+    optional = notation.defaults(function)
+    name = function.__name__
+
+    @wraps(function)
+    def constructor(*args: _P.args, **kwargs: _P.kwargs) -> Field:
+        given = own_signature.bind(*args, **kwargs).arguments
+        body = function(*args, **kwargs)
+        return make_field(body, notation.recorded(name, (), given, optional))
+
+    constructor.__signature__ = own_signature.replace(return_annotation="Field")  # type: ignore[attr-defined]
+    PRIMITIVES[name] = constructor
+    return constructor
+
+
+def from_function(
+    function: Callable[[Tensor], Tensor] | Oracle,
+    *,
+    exact: bool = False,
+    lipschitz: float | None = None,
+    bounds: ArrayLike | None = None,
+    name: str | None = None,
+) -> Field:
+    """A field from any torch function, such as a learned signed distance.
+
+    Args:
+        function: maps a tensor of points `(..., 3)` to values `(...)` or `(..., 1)`,
+            negative inside; differentiable by autograd if gradients are wanted.
+        exact: is it a true signed distance, everywhere? The caller's word.
+        lipschitz: a bound on the norm of its gradient, or None.
+        bounds: a box `(2, 3)` that holds its zero set and inside, or None.
+        name: shown by `repr`; the function's own name if None.
+
+    Raises:
+        InputError: an argument is not of the kind described. On evaluation: the function
+            returned another shape, or no gradient where one was asked for.
+    """
+    oracle = _as_oracle(function, name, outputs=1)
+    (value,) = call(oracle, (X, Y, Z))
+    return make_field(Body(value, _stated_tags(exact, lipschitz, bounds)), Opaque(oracle.name))
+
+
+def _derived(rule: Rule, operands: tuple[Field, ...], **given: object) -> Field:
+    """The field that a rule makes of others; `given` are its other arguments, in order."""
+    for operand in operands:
+        if not isinstance(operand, Field):
+            raise InputError(
+                "field",
+                operand,
+                f"{rule.__name__} takes fields",
+                "pass fields made by this package",
+            )
+    body = rule(*(operand._body for operand in operands), **given)
+    if len(operands) == 1 and rule.__name__ in ("union", "intersection", "difference"):
+        return operands[0]
+    return make_field(
+        body, notation.recorded(rule.__name__, operands, given, _RULE_DEFAULTS[rule.__name__])
+    )
+
+
+_RULE_DEFAULTS = {name: notation.defaults(rule) for name, rule in RULES.items()}
+
+
+def _as_oracle(
+    function: Callable[[Tensor], Tensor] | Oracle, name: str | None, outputs: int
+) -> Oracle:
+    if not callable(function):
+        raise InputError(
+            "function", function, "it cannot be called", "pass a function of a tensor of points"
+        )
+    if name is None:
+        name = getattr(function, "name", None) or getattr(function, "__name__", "function")
+    if isinstance(function, Oracle) and function.outputs == outputs and function.name == name:
+        return function
+    return FunctionOracle(function, str(name), outputs)
+
+
+def _stated_tags(
+    exact: bool,
+    lipschitz: float | None,
+    bounds: ArrayLike | None,
+    growth: float | None = None,
+) -> Tags:
+    extent = EVERYWHERE if bounds is None else arguments.box_bounds("bounds", bounds)
+    if exact:
+        return Tags.of_distance(extent)
+    return Tags(
+        exact=False,
+        lipschitz=None if lipschitz is None else arguments.not_negative("lipschitz", lipschitz),
+        extent=extent,
+        growth=None if growth is None else arguments.positive("growth", growth),
+    )

@@ -1,0 +1,82 @@
+"""Injective 3D warps of implicit fields and meshes.
+
+    import fields as sdf, implicit_warp as iw
+
+    shape = sdf.sphere(1) & sdf.box(1.5)
+    handles = [iw.hold(sdf.below(-0.6)), iw.move(sdf.above(0.6), rotate=("z", 60))]
+    warp = iw.elastic(shape, handles)
+    mesh = iw.extract(iw.deform(shape, warp), resolution=256)
+    iw.check(mesh).raise_if_bad()
+    mesh.export("twisted.stl")
+
+Names are loaded on first use: importing the package brings in neither Open3D nor pymeshlab,
+trimesh or scikit-image.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Affine": "affine",
+    "BadMesh": "checking",
+    "CheckReport": "checking",
+    "Composition": "maps",
+    "ElasticOptions": "elastic_solve",
+    "FileFormatError": "errors",
+    "Handle": "handles",
+    "InputError": "errors",
+    "Map": "maps",
+    "MissingDependency": "errors",
+    "NotInjective": "errors",
+    "SolveReport": "elastic_solve",
+    "TutteNet": "tuttenet",
+    "Warp": "warp",
+    "back_end": "evaluate",
+    "check": "checking",
+    "deform": "deformation",
+    "elastic": "elastic_solve",
+    "elastic_energy": "energy",
+    "extract": "extraction",
+    "hold": "handles",
+    "load": "files",
+    "load_handles": "handles",
+    "move": "handles",
+    "rigid_motion": "affine",
+    "save": "files",
+    "save_handles": "handles",
+    "set_threads": "threads",
+}
+
+__all__ = [*sorted(_HOME), "__version__"]
+
+if TYPE_CHECKING:
+    from implicit_warp.affine import Affine, rigid_motion
+    from implicit_warp.checking import BadMesh, CheckReport, check
+    from implicit_warp.deformation import deform
+    from implicit_warp.elastic_solve import ElasticOptions, SolveReport, elastic
+    from implicit_warp.energy import elastic_energy
+    from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
+    from implicit_warp.evaluate import back_end
+    from implicit_warp.extraction import extract
+    from implicit_warp.files import load, save
+    from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
+    from implicit_warp.maps import Composition, Map
+    from implicit_warp.threads import set_threads
+    from implicit_warp.tuttenet import TutteNet
+    from implicit_warp.warp import Warp
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,162 @@
+"""Affine maps: rigid motions, similarities and any other with positive determinant."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from implicit_warp.errors import InputError
+from implicit_warp.layers import invert_affine
+from implicit_warp.maps import Map
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+class Affine(Map):
+    """The map x -> L x + t.
+
+    Args:
+        linear: (3, 3) with positive determinant.
+        translation: (3,).
+
+    Raises:
+        InputError: another shape, values not finite, or a determinant that is not positive.
+    """
+
+    def __init__(self, linear=None, translation=(0.0, 0.0, 0.0)) -> None:
+        linear = _array("linear", np.eye(3) if linear is None else linear, (3, 3))
+        translation = _array("translation", translation, (3,))
+        if not np.linalg.det(linear) > 0:
+            raise InputError(
+                "linear",
+                linear.tolist(),
+                f"its determinant {np.linalg.det(linear):.3g} is not positive, so the map is "
+                "singular or mirrors space",
+                "check for a zero scale or an odd number of negative ones",
+            )
+        self.matrix = torch.from_numpy(np.concatenate([linear, translation[:, None]], 1))
+        self._inverse_matrix = invert_affine(self.matrix)
+
+    @classmethod
+    def from_matrix(cls, matrix) -> Affine:
+        """From a (3, 4) or homogeneous (4, 4) matrix."""
+        matrix = np.asarray(matrix, dtype=np.float64)
+        if matrix.shape == (4, 4):
+            if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-12):
+                raise InputError(
+                    "matrix",
+                    matrix[3].tolist(),
+                    "the last row of a homogeneous matrix must be 0 0 0 1",
+                    "transpose it if it was written for row vectors",
+                )
+            matrix = matrix[:3]
+        matrix = _array("matrix", matrix, (3, 4))
+        return cls(matrix[:, :3], matrix[:, 3])
+
+    def __repr__(self) -> str:
+        return f"Affine({self.matrix[:, :3].tolist()}, {self.matrix[:, 3].tolist()})"
+
+    def _forward(self, points: Tensor) -> Tensor:
+        return _apply(self.matrix, points)[0]
+
+    def _forward_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return _apply(self.matrix, points)
+
+    def _inverse(self, points: Tensor) -> Tensor:
+        return _apply(self._inverse_matrix, points)[0]
+
+    def _inverse_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return _apply(self._inverse_matrix, points)
+
+
+def rigid_motion(
+    rotate=None, translate=(0.0, 0.0, 0.0), pivot=(0.0, 0.0, 0.0), matrix=None
+) -> Affine:
+    """A rigid motion: turn about an axis through the pivot, then translate.
+
+    Args:
+        rotate: (axis, degrees), the axis "x", "y", "z" or a vector of three numbers; right-handed.
+        translate: (3,) in the user's units.
+        pivot: (3,) a point that the rotation keeps.
+        matrix: instead of all the others, a rigid (3, 4) or (4, 4) matrix.
+
+    Raises:
+        InputError: an argument is malformed, or the matrix is not rigid (to 1e-6).
+    """
+    if matrix is not None:
+        if rotate is not None or np.any(translate) or np.any(pivot):
+            raise InputError(
+                "matrix",
+                matrix,
+                "a matrix already holds the whole motion",
+                "pass either the matrix or rotate, translate and pivot",
+            )
+        motion = Affine.from_matrix(matrix)
+        linear = motion.matrix[:, :3].numpy()
+        if not np.allclose(linear @ linear.T, np.eye(3), rtol=0, atol=1e-6):
+            raise InputError(
+                "matrix",
+                linear.tolist(),
+                "its 3x3 part is not a rotation: R R^T differs from the identity by more than 1e-6",
+                "normalise it; handles move rigidly",
+            )
+        return motion
+    translate = _array("translate", translate, (3,))
+    pivot = _array("pivot", pivot, (3,))
+    rotation = np.eye(3) if rotate is None else rotation_matrix(*_axis_and_angle(rotate))
+    return Affine(rotation, pivot - rotation @ pivot + translate)
+
+
+def rotation_matrix(axis, degrees: float) -> np.ndarray:
+    """The (3, 3) right-handed rotation by an angle in degrees about an axis (Rodrigues)."""
+    unit = axis_vector(axis)
+    if not math.isfinite(degrees):
+        raise InputError("rotate", degrees, "the angle is not finite", "give degrees")
+    angle = math.radians(degrees)
+    x, y, z = unit
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+
+
+def axis_vector(axis) -> np.ndarray:
+    """The unit vector of an axis given by name or as three numbers."""
+    if isinstance(axis, str):
+        if axis not in _AXES:
+            raise InputError("axis", axis, "no axis of that name", 'use "x", "y", "z" or a vector')
+        return np.array(_AXES[axis])
+    vector = _array("axis", axis, (3,))
+    length = np.linalg.norm(vector)
+    if length == 0.0:
+        raise InputError("axis", axis, "a zero vector has no direction", 'use e.g. "z"')
+    return vector / length
+
+
+def _axis_and_angle(rotate):
+    try:
+        axis, degrees = rotate
+        return axis, float(degrees)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            "rotate", rotate, "not a pair of axis and angle", 'pass e.g. ("z", 60), in degrees'
+        ) from error
+
+
+def _array(argument: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(argument, value, "not numbers", f"pass shape {shape}") from error
+    if array.shape != shape:
+        raise InputError(argument, value, f"shape {array.shape}", f"pass shape {shape}")
+    if not np.isfinite(array).all():
+        raise InputError(argument, value, "not finite", "look for a division by zero")
+    return array
+
+
+def _apply(matrix: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    matrix = matrix.to(points)
+    linear = matrix[:, :3]
+    return points @ linear.T + matrix[:, 3], linear.expand(len(points), 3, 3)

@@ -1,0 +1,96 @@
+"""Carry things forward by a map: points, fields and meshes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fields import Field
+from implicit_warp.errors import InputError
+from implicit_warp.maps import Map
+from implicit_warp.warp import Warp
+
+if TYPE_CHECKING:
+    import trimesh
+
+_LATTICE = 48
+"""Samples a side of the lattice from which the bounds of a deformed field are estimated."""
+
+
+@overload
+def deform(thing: Field, map_: Map) -> Field: ...
+@overload
+def deform(thing: trimesh.Trimesh, map_: Map) -> trimesh.Trimesh: ...
+@overload
+def deform(thing: Tensor, map_: Map) -> Tensor: ...
+
+
+def deform(thing, map_: Map):
+    """Carry a field, a mesh or points forward by an injective map f.
+
+    * Points (..., 3): their images f(x).
+    * A field s: the field s o f^-1, whose surface is the image of the surface of s.  It is not a
+      distance any more; its Lipschitz tag is that of s times that of f^-1 where both are known.
+      Its bounds are estimated from a lattice of samples, with a margin for what lies between
+      them; `extract` reports a surface that reaches the edge of its box all the same.
+    * A mesh: a copy whose vertices are mapped and whose faces stay flat.  That is what the paper
+      does, and it carries **no guarantee**: the map is injective on space, but a flat triangle is
+      not the image of a triangle, so a coarse mesh can come out with self-intersections.  Check
+      it, refine it first, or deform the field instead.
+
+    Raises:
+        InputError: the first argument is none of these, or the second is no map.
+    """
+    if not isinstance(map_, Map):
+        raise InputError("map_", map_, "not a map", "pass a Warp, TutteNet, Affine, ...")
+    if isinstance(thing, Field):
+        return _deform_field(thing, map_)
+    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+        moved = thing.copy()
+        moved.vertices = map_(np.asarray(thing.vertices, dtype=np.float64))
+        return moved
+    if isinstance(thing, Tensor | np.ndarray | list | tuple):
+        return map_(thing)
+    raise InputError(
+        "thing", thing, "neither a field, a mesh nor points", "pass a Field, Trimesh or (..., 3)"
+    )
+
+
+def _deform_field(field: Field, map_: Map) -> Field:
+    forward, backward = (None, None) if not isinstance(map_, Warp) else map_.lipschitz
+    known = field.lipschitz is not None and backward is not None
+
+    def pull_back(points: Tensor) -> Tensor:
+        return map_._inverse(points.reshape(-1, 3)).reshape(points.shape)
+
+    return field.remap(
+        pull_back,
+        lipschitz=field.lipschitz * backward if known else None,
+        bounds=None if field.bounds is None else _image_bounds(field, map_),
+        growth=forward if field.exact else None,
+        name=type(map_).__name__.lower(),
+    )
+
+
+@torch.no_grad()
+def _image_bounds(field: Field, map_: Map) -> np.ndarray:
+    """A box around the image of the field's inside.
+
+    Every point inside lies within half a lattice diagonal of a sample that is kept, and its image
+    within that times the local stretch, taken as the largest found at any kept sample.
+    """
+    low, high = torch.tensor(field.bounds)
+    step = (high - low) / (_LATTICE - 1)
+    axes = [low[i] + step[i] * torch.arange(_LATTICE, dtype=torch.float64) for i in range(3)]
+    lattice = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    reach = 0.5 * float(step.norm())
+    if field.lipschitz is not None:
+        lattice = lattice[field.evaluate(lattice) <= reach * field.lipschitz]
+    if not len(lattice):
+        return map_(torch.stack([low, high])).numpy()
+    images, jacobians = map_.call_and_jacobian(lattice)
+    margin = reach * float(torch.linalg.matrix_norm(jacobians, 2).max())
+    return torch.stack([images.amin(0) - margin, images.amax(0) + margin]).numpy()

@@ -1,0 +1,106 @@
+"""Tutte embeddings of the square mesh: parameters -> positive weights and a convex boundary
+-> vertex positions, differentiably.
+
+For every interior vertex i, with w_ij > 0 one weight per *directed* edge,
+
+    sum_j w_ij (u_j - u_i) = 0,        u_b = given, on a convex polygon, for boundary vertices b.
+
+With a convex boundary the solution is an embedding (Tutte 1963; Floater 2003), and with directed
+weights every piecewise-linear embedding of the mesh into that polygon is reached.  No interior
+edge of the square mesh joins two boundary vertices of one side, so corners may well lie on a
+common line.
+
+Two solvers, one meaning:
+
+* `solve_dense`: plain torch, any device, differentiable to any order.  The reference.
+* `solve_banded`: eliminates the cell centres (each sees only its four corners), which leaves
+  (N-2)^2 unknowns with a nine-point stencil, and factors that M-matrix in banded form; the
+  backward pass is one transposed solve with the same factors.  CPU, float64, first order.
+
+Guarantee: with exact arithmetic the result is injective for any parameters.  Non-guarantee:
+float64 rounding can spoil areas near 1e-16; `Warp` re-checks what it stores.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from implicit_warp.square_mesh import SquareMesh, mesh_tensor
+
+WEIGHT_FLOOR = 0.2
+"""Smallest directed weight; the largest is 1 - WEIGHT_FLOOR (paper, sec. 3.2)."""
+
+BOUNDARY_FLOOR = 0.1
+"""Smallest factor on a boundary angle increment, before normalisation (paper, sec. 3.2)."""
+
+
+def edge_weights(theta: Tensor, floor: float = WEIGHT_FLOOR) -> Tensor:
+    """Unconstrained parameters -> weights in (floor, 1 - floor), 1/2 at theta = 0."""
+    return floor + (1.0 - 2.0 * floor) * torch.sigmoid(theta)
+
+
+def boundary_positions(theta: Tensor, mesh: SquareMesh, floor: float = BOUNDARY_FLOOR) -> Tensor:
+    """Unconstrained parameters (..., M) -> boundary vertices (..., M, 2) on the square's outline.
+
+    The angle increments are the rest increments times factors in (floor, 1 - floor), normalised
+    to sum to 2 pi; the direction at each accumulated angle is projected onto the square.  Hence
+    theta = 0 is the rest boundary, and the first vertex never moves.
+
+    Every increment stays below pi, so that consecutive vertices span a cone around the origin.
+    For N >= 5 the paper's floor already ensures it; on coarser meshes the floor is raised to
+    1.05 times the largest rest increment over 2 pi, which is what the bound needs.
+    """
+    rest = mesh_tensor(mesh, "boundary_increments", theta.dtype, theta.device)
+    floor = max(floor, 1.05 * float(mesh.boundary_increments.max()) / (2.0 * math.pi))
+    raw = rest * (floor + (1.0 - 2.0 * floor) * torch.sigmoid(theta))
+    increments = raw * (2.0 * math.pi / raw.sum(-1, keepdim=True))
+    turned = torch.nn.functional.pad(increments.cumsum(-1)[..., :-1], (1, 0))
+    angles = turned + float(mesh.boundary_angles[0])
+    directions = torch.stack([angles.cos(), angles.sin()], -1)
+    return directions / directions.abs().amax(-1, keepdim=True)
+
+
+def embed(weights: Tensor, boundary: Tensor, mesh: SquareMesh) -> Tensor:
+    """Solve for all vertices with the fastest solver that fits the arguments.
+
+    Args:
+        weights: (K, E) positive directed weights in the order of `mesh.edges`.
+        boundary: (K, M, 2) boundary vertices, convex and counter-clockwise.
+        mesh: the square mesh.
+
+    Returns:
+        (K, V, 2) vertex positions.
+    """
+    if weights.device.type == "cpu" and weights.dtype == torch.float64:
+        from implicit_warp.banded import solve_banded
+
+        return solve_banded(weights, boundary, mesh)
+    return solve_dense(weights, boundary, mesh)
+
+
+def solve_dense(weights: Tensor, boundary: Tensor, mesh: SquareMesh) -> Tensor:
+    """The embedding by one dense linear solve a layer. Shapes as in `embed`.
+
+    On the CPU the layers are solved one by one: batched dense LU there was measured to hang.
+    """
+    count, vertices = weights.shape[0], len(mesh.vertices)
+    device = weights.device
+    source, target = mesh_tensor(mesh, "edges", torch.int64, device).T
+    laplacian = weights.new_zeros(count, vertices, vertices)
+    laplacian[:, source, target] = -weights
+    laplacian = laplacian - torch.diag_embed(laplacian.sum(-1))
+    border = mesh_tensor(mesh, "boundary", torch.int64, device)
+    is_interior = torch.ones(vertices, dtype=torch.bool, device=device)
+    is_interior[border] = False
+    interior = is_interior.nonzero().squeeze(-1)
+    matrix = laplacian[:, interior[:, None], interior]
+    right = -laplacian[:, interior[:, None], border] @ boundary
+    if device.type == "cpu":
+        inner = torch.stack([torch.linalg.solve(m, r) for m, r in zip(matrix, right, strict=True)])
+    else:
+        inner = torch.linalg.solve(matrix, right)
+    order = torch.argsort(torch.cat([interior, border]))
+    return torch.cat([inner, boundary], 1)[:, order]

@@ -1,0 +1,33 @@
+"""Every exception of the package, in one place.
+
+`InputError` and `MissingDependency` are defined by `fields`, which knows nothing of this
+package; they are re-exported here so that users catch them under one roof.
+"""
+
+from __future__ import annotations
+
+from fields.errors import InputError, MissingDependency
+
+__all__ = ["FileFormatError", "InputError", "MissingDependency", "NotInjective"]
+
+
+class NotInjective(RuntimeError):
+    """A map failed its own proof: an oriented area is not positive.
+
+    Attributes:
+        layer: index of the layer, counted from the first one applied.
+        cell: index of the triangle (or, past the triangles, of the cone) in that layer.
+    """
+
+    def __init__(self, layer: int, cell: int, kind: str, area: float) -> None:
+        self.layer = layer
+        self.cell = cell
+        super().__init__(
+            f"layer {layer}, {kind} {cell}: oriented area {area:.3g} is not positive, so the map "
+            "folds there. The stored vertices are damaged, or their parameters went far beyond "
+            "what float64 resolves: solve again with more layer regularisation."
+        )
+
+
+class FileFormatError(ValueError):
+    """A file is unreadable, truncated, or of a version this library does not know."""

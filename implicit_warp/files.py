@@ -1,0 +1,203 @@
+"""Maps on disk (`.safetensors`), and writing that never leaves half a file.
+
+A map file holds float64 tensors, bit for bit, and string metadata: what it is, the format's
+version, the library's version, the units.  Nothing in it is executed when it is read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from implicit_warp.affine import Affine
+from implicit_warp.errors import FileFormatError, InputError
+from implicit_warp.maps import Composition, Inverse, Map
+from implicit_warp.tuttenet import TutteNet
+from implicit_warp.warp import Warp
+
+FORMAT = "implicit_warp.map"
+FORMAT_VERSION = 1
+
+
+@contextlib.contextmanager
+def atomic_write(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside the target; rename it on success, remove it on failure.
+
+    The suffix is kept, so that writers which choose a format by suffix work.  A crash leaves the
+    old file as it was.
+
+    Raises:
+        InputError: the folder does not exist, or the target is a folder.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise InputError(
+            "path", str(path), "its folder does not exist", f"create {path.parent} first"
+        )
+    if path.is_dir():
+        raise InputError("path", str(path), "this is a folder", "name a file")
+    handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=f".{path.stem}.", dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        # mkstemp makes private files; give the result the permissions any new file would have.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def save(map_: Map, path: str | Path, *, units: str = "") -> None:
+    """Write a map to a `.safetensors` file.
+
+    Args:
+        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, or a composition
+            or inverse of these.
+        path: where to; written under a temporary name and renamed.
+        units: a note on the units of the map's domain, such as "mm".
+
+    Raises:
+        InputError: the map is of another kind, or the path cannot be written.
+    """
+    from safetensors.torch import save_file
+
+    import implicit_warp
+
+    tensors: dict[str, torch.Tensor] = {}
+    structure = _describe(map_, tensors)
+    metadata = {
+        "format": FORMAT,
+        "format_version": str(FORMAT_VERSION),
+        "library_version": implicit_warp.__version__,
+        "units": units,
+        "structure": json.dumps(structure),
+    }
+    with atomic_write(path) as temporary:
+        save_file(tensors, temporary, metadata=metadata)
+
+
+def load(path: str | Path) -> Map:
+    """Read a map that `save` wrote.
+
+    Raises:
+        InputError: there is no such file.
+        FileFormatError: not a map file, truncated, or written by a newer version.
+        NotInjective: the stored layers fail their check.
+    """
+    tensors, metadata = _read(path)
+    try:
+        return _rebuild(json.loads(metadata["structure"]), tensors)
+    except (KeyError, TypeError, json.JSONDecodeError, InputError) as error:
+        raise FileFormatError(f"{path}: the map's description is damaged ({error})") from error
+
+
+def read_metadata(path: str | Path) -> dict[str, str]:
+    """The string metadata of a map file: format, version, units, structure."""
+    return _read(path)[1]
+
+
+def _read(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    from safetensors import SafetensorError, safe_open
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("path", str(path), "there is no such file", "check the path")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise FileFormatError(
+            f"{path}: not a readable .safetensors file ({error}). It may be truncated; "
+            "write it again with implicit_warp.save"
+        ) from error
+    if metadata.get("format") != FORMAT:
+        raise FileFormatError(
+            f"{path}: holds no map (its format is {metadata.get('format')!r}, not {FORMAT!r}). "
+            "Maps are written by implicit_warp.save or 'implicit-warp deform'"
+        )
+    version = metadata.get("format_version", "")
+    if version != str(FORMAT_VERSION):
+        raise FileFormatError(
+            f"{path}: format version {version!r}, but this library reads {FORMAT_VERSION}. "
+            "Install the version of implicit_warp that wrote it "
+            f"({metadata.get('library_version', 'unknown')}) or a newer one"
+        )
+    return tensors, metadata
+
+
+def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
+    """A JSON description of the map; its tensors go into the dictionary under fresh names."""
+
+    def store(**parts: torch.Tensor | None) -> dict[str, str]:
+        names = {}
+        for key, tensor in parts.items():
+            if tensor is not None:
+                names[key] = f"{len(tensors)}.{key}"
+                tensors[names[key]] = tensor.detach().cpu().contiguous()
+        return names
+
+    if isinstance(map_, Warp):
+        names = store(
+            embeddings=map_.embeddings, frames=map_.frames, before=map_.before, after=map_.after
+        )
+        report = None if map_.report is None else map_.report.to_dict()
+        return {"kind": "warp", "tensors": names, "report": report}
+    if isinstance(map_, TutteNet):
+        names = store(
+            frames_at_start=map_.frames_at_start,
+            theta_weights=map_.theta_weights,
+            theta_boundary=map_.theta_boundary,
+            theta_frames=map_.theta_frames,
+        )
+        return {"kind": "tuttenet", "tensors": names, "resolution": map_.resolution}
+    if isinstance(map_, Affine):
+        return {"kind": "affine", "tensors": store(matrix=map_.matrix)}
+    if isinstance(map_, Composition):
+        return {"kind": "composition", "maps": [_describe(m, tensors) for m in map_.maps]}
+    if isinstance(map_, Inverse):
+        return {"kind": "inverse", "map": _describe(map_.inv, tensors)}
+    raise InputError(
+        "map_",
+        type(map_).__name__,
+        "maps of this kind have no file format",
+        "save a TutteNet, Warp, Affine, or a composition of them",
+    )
+
+
+def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map:
+    kind = structure["kind"]
+    if kind == "composition":
+        return Composition(_rebuild(part, tensors) for part in structure["maps"])
+    if kind == "inverse":
+        return _rebuild(structure["map"], tensors).inv
+    parts = {key: tensors[name] for key, name in structure["tensors"].items()}
+    if kind == "affine":
+        return Affine(parts["matrix"][:, :3].numpy(), parts["matrix"][:, 3].numpy())
+    if kind == "warp":
+        from implicit_warp.elastic_solve import SolveReport
+
+        report = structure.get("report")
+        return Warp(**parts, report=None if report is None else SolveReport.from_dict(report))
+    if kind == "tuttenet":
+        start = parts.pop("frames_at_start")
+        net = TutteNet(
+            layers=len(start),
+            resolution=structure["resolution"],
+            frames="free" if "theta_frames" in parts else start.numpy(),
+            boundary="free" if "theta_boundary" in parts else "fixed",
+        )
+        net.load_state_dict({"frames_at_start": start, **parts})
+        return net
+    raise FileFormatError(f"unknown kind of map {kind!r}")

@@ -1,0 +1,134 @@
+"""A stack of prismatic layers: the one data structure every back end evaluates.
+
+Layer k acts as R_k lift(psi_k) R_k^T, where psi_k is the piecewise-linear plane map that takes the
+rest square mesh (and the cones around it) to the embedding U_k, and lift leaves the normal
+coordinate alone (paper, Eq. 5, 6).  Consecutive frames, and whatever affine maps come before and
+after, are fused into one 3x4 *transition* per layer:
+
+    q_0 = T_0 (x),   q_k = T_k (lift(psi_{k-1}) (q_{k-1})),   y = T_K (lift(psi_{K-1}) (q_{K-1})).
+
+A plane map is tabulated as one affine map a cell, six numbers (a00, a01, a10, a11, d0, d1), and
+likewise its inverse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from implicit_warp.square_mesh import SquareMesh, mesh_tensor
+
+
+@dataclass(frozen=True, eq=False)
+class LayerStack:
+    """Embeddings and transitions of K layers; tables are derived once, on first use.
+
+    Attributes:
+        mesh: the rest mesh shared by all layers.
+        embeddings: (K, V, 2) float64 vertex positions of each layer's image.
+        transitions: (K + 1, 3, 4) float64 affine maps before, between and after the layers.
+    """
+
+    mesh: SquareMesh
+    embeddings: Tensor
+    transitions: Tensor
+
+    @property
+    def n_layers(self) -> int:
+        return self.embeddings.shape[0]
+
+    @property
+    def requires_grad(self) -> bool:
+        return self.embeddings.requires_grad or self.transitions.requires_grad
+
+    @cached_property
+    def tables(self) -> Tensor:
+        """(K, C, 6) rest -> image, one affine map a cell."""
+        rest, image = self._corners
+        return _cell_maps(rest, image)
+
+    @cached_property
+    def inverse_tables(self) -> Tensor:
+        """(K, C, 6) image -> rest."""
+        rest, image = self._corners
+        return _cell_maps(image, rest)
+
+    @cached_property
+    def inverse_transitions(self) -> Tensor:
+        """(K + 1, 3, 4) the inverses of the transitions, in the order in which they are met."""
+        return invert_affine(self.transitions).flip(0)
+
+    @cached_property
+    def oriented_areas(self) -> Tensor:
+        """(K, C) twice the oriented area of each image triangle, and of each cone's ray pair."""
+        _, image = self._corners
+        first, second = image[..., 1, :] - image[..., 0, :], image[..., 2, :] - image[..., 0, :]
+        return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+
+    @property
+    def _corners(self) -> tuple[Tensor, Tensor]:
+        u = self.embeddings
+        cells = mesh_tensor(self.mesh, "cells", torch.int64, u.device)
+        rest = mesh_tensor(self.mesh, "vertices", u.dtype, u.device)
+        image = torch.cat([u, u.new_zeros(len(u), 1, 2)], 1)
+        return torch.cat([rest, rest.new_zeros(1, 2)])[cells][None], image[:, cells]
+
+
+def fuse_frames(frames: Tensor, before: Tensor | None = None, after: Tensor | None = None) -> Tensor:
+    """Transitions (K + 1, 3, 4) of layers with the given frames (K, 3, 3).
+
+    Args:
+        frames: rotations whose columns are each layer's plane axes and normal.
+        before, after: optional affine maps (3, 4) applied before and after all layers.
+    """
+    to_local = frames.transpose(-1, -2)
+    linear = torch.cat([to_local[:1], to_local[1:] @ frames[:-1], frames[-1:]])
+    transitions = torch.cat([linear, linear.new_zeros(len(linear), 3, 1)], -1)
+    first, last = transitions[0], transitions[-1]
+    if before is not None:
+        first = compose_affine(first, before)
+    if after is not None:
+        last = compose_affine(after, last)
+    return torch.cat([first[None], transitions[1:-1], last[None]])
+
+
+def compose_affine(outer: Tensor, inner: Tensor) -> Tensor:
+    """The 3x4 matrix of outer after inner."""
+    linear = outer[..., :3] @ inner[..., :3]
+    offset = outer[..., :3] @ inner[..., 3:] + outer[..., 3:]
+    return torch.cat([linear, offset], -1)
+
+
+def invert_affine(matrix: Tensor) -> Tensor:
+    """The inverse of (a batch of) 3x4 affine maps."""
+    linear = torch.linalg.inv(matrix[..., :3])
+    return torch.cat([linear, -linear @ matrix[..., 3:]], -1)
+
+
+def concatenate(stacks: Sequence[LayerStack]) -> LayerStack:
+    """One stack that applies the given ones in order. All must share one resolution."""
+    transitions = [stacks[0].transitions]
+    for stack in stacks[1:]:
+        joint = compose_affine(stack.transitions[0], transitions[-1][-1])
+        transitions[-1] = transitions[-1][:-1]
+        transitions.append(torch.cat([joint[None], stack.transitions[1:]]))
+    embeddings = torch.cat([stack.embeddings for stack in stacks])
+    return LayerStack(stacks[0].mesh, embeddings, torch.cat(transitions))
+
+
+def _cell_maps(source: Tensor, target: Tensor) -> Tensor:
+    """Affine maps taking source corners (..., C, 3, 2) to target corners, as (..., C, 6)."""
+    s0, t0 = source[..., 0, :], target[..., 0, :]
+    s1, s2 = source[..., 1, :] - s0, source[..., 2, :] - s0
+    t1, t2 = target[..., 1, :] - t0, target[..., 2, :] - t0
+    inverse_area = 1.0 / (s1[..., 0] * s2[..., 1] - s1[..., 1] * s2[..., 0])
+    # Rows of the inverse of [s1 s2]: barycentric coordinates 1 and 2 as linear forms.
+    b1 = torch.stack([s2[..., 1], -s2[..., 0]], -1) * inverse_area[..., None]
+    b2 = torch.stack([-s1[..., 1], s1[..., 0]], -1) * inverse_area[..., None]
+    linear = t1[..., :, None] * b1[..., None, :] + t2[..., :, None] * b2[..., None, :]
+    offset = t0 - (linear @ s0[..., None]).squeeze(-1)
+    return torch.cat([linear.flatten(-2), offset], -1)

@@ -1,0 +1,204 @@
+"""The `Map` protocol: injective maps of R^3 with an inverse and Jacobians.
+
+A map implements four hooks on checked tensors of shape (n, 3); everything that users call is
+derived from them here, once, so that all maps (layers, affine maps, compositions, baselines)
+behave alike.  Laws, which the tests hold every registered map to:
+
+    m.inv(m(x)) = x = m(m.inv(x)),    m.inv.inv is m,    (a @ b)(x) = a(b(x)),
+    m.inv.jacobian(m(x)) @ m.jacobian(x) = I,    det m.jacobian(x) > 0.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from implicit_warp.errors import InputError
+
+
+class Map(ABC):
+    """An orientation-preserving injective map of R^3 onto R^3.
+
+    Points are tensors of shape (..., 3), or anything numpy can make an array of; numpy in, numpy
+    out.  Jacobians are (..., 3, 3), with entry [i, j] = d y_i / d x_j.
+    """
+
+    @abstractmethod
+    def _forward(self, points: Tensor) -> Tensor:
+        """f(points) for a floating tensor (n, 3)."""
+
+    @abstractmethod
+    def _forward_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """f(points) and the Jacobians (n, 3, 3)."""
+
+    @abstractmethod
+    def _inverse(self, points: Tensor) -> Tensor:
+        """f^-1(points) for a floating tensor (n, 3)."""
+
+    @abstractmethod
+    def _inverse_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """f^-1(points) and the Jacobians of f^-1 (n, 3, 3)."""
+
+    def __call__(self, points):
+        """The images (..., 3) of points (..., 3).
+
+        Raises:
+            InputError: the points have another shape, or are not finite.
+        """
+        tensor, restore = flatten_points(points)
+        return restore(self._forward(tensor))
+
+    def call_and_jacobian(self, points):
+        """Images (..., 3) and Jacobians (..., 3, 3) from one traversal, since they share it."""
+        tensor, restore = flatten_points(points)
+        image, jacobian = self._forward_and_jacobian(tensor)
+        return restore(image), restore(jacobian)
+
+    def jacobian(self, points):
+        """Jacobians (..., 3, 3) at points (..., 3)."""
+        return self.call_and_jacobian(points)[1]
+
+    @property
+    def inv(self) -> Map:
+        """The inverse, itself a map; ``m.inv.inv is m``."""
+        return Inverse(self)
+
+    def __matmul__(self, other: Map) -> Map:
+        """The composition self after other."""
+        if not isinstance(other, Map):
+            return NotImplemented
+        return Composition((other, self))
+
+
+class Inverse(Map):
+    """The inverse of another map; made by `Map.inv`."""
+
+    def __init__(self, original: Map) -> None:
+        self._original = original
+
+    @property
+    def inv(self) -> Map:
+        """The map that this one inverts."""
+        return self._original
+
+    def __repr__(self) -> str:
+        return f"{self._original!r}.inv"
+
+    def _forward(self, points: Tensor) -> Tensor:
+        return self._original._inverse(points)
+
+    def _forward_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return self._original._inverse_and_jacobian(points)
+
+    def _inverse(self, points: Tensor) -> Tensor:
+        return self._original._forward(points)
+
+    def _inverse_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return self._original._forward_and_jacobian(points)
+
+
+class Composition(Map):
+    """Maps applied one after the other; made by ``b @ a``.
+
+    Args:
+        maps: in the order of application.
+    """
+
+    def __init__(self, maps: Iterable[Map]) -> None:
+        flat: list[Map] = []
+        for m in maps:
+            flat.extend(m.maps if isinstance(m, Composition) else [m])
+        self.maps = tuple(flat)
+
+    def __repr__(self) -> str:
+        return " @ ".join(repr(m) for m in reversed(self.maps))
+
+    def _forward(self, points: Tensor) -> Tensor:
+        for m in self.maps:
+            points = m._forward(points)
+        return points
+
+    def _forward_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return _chain(points, (m._forward_and_jacobian for m in self.maps))
+
+    def _inverse(self, points: Tensor) -> Tensor:
+        for m in reversed(self.maps):
+            points = m._inverse(points)
+        return points
+
+    def _inverse_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return _chain(points, (m._inverse_and_jacobian for m in reversed(self.maps)))
+
+
+def _chain(points: Tensor, steps) -> tuple[Tensor, Tensor]:
+    jacobian = torch.eye(3, dtype=points.dtype, device=points.device).expand(len(points), 3, 3)
+    for step in steps:
+        points, local = step(points)
+        jacobian = local @ jacobian
+    return points, jacobian
+
+
+def flatten_points(points):
+    """Check points and bring them to a floating tensor (n, 3).
+
+    Returns:
+        The tensor, and a function that gives a result (n, ...) the leading shape of the input,
+        and turns it into numpy if the input was no tensor.
+
+    Raises:
+        InputError: not numeric, the last axis is not of length 3, or NaN or infinite values.
+    """
+    if isinstance(points, Tensor):
+        tensor, to_numpy = points, False
+    else:
+        try:
+            tensor, to_numpy = torch.as_tensor(np.asarray(points)), True
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                "points",
+                points,
+                f"not an array of numbers ({error})",
+                "pass a tensor or an array of shape (..., 3)",
+            ) from error
+    if tensor.shape[-1:] != (3,):
+        raise InputError(
+            "points",
+            tuple(tensor.shape),
+            "this is the shape, and its last axis must be of length 3",
+            "pass points as (..., 3)",
+        )
+    if not tensor.is_floating_point():
+        if tensor.dtype == torch.bool or tensor.is_complex():
+            raise InputError(
+                "points", tensor.dtype, "not real numbers", "convert them to float64 first"
+            )
+        tensor = tensor.to(torch.float64)
+    shape = tensor.shape[:-1]
+    flat = tensor.reshape(-1, 3)
+    check_finite("points", flat)
+
+    def restore(result: Tensor):
+        result = result.reshape(shape + result.shape[1:])
+        return result.detach().cpu().numpy() if to_numpy else result
+
+    return flat, restore
+
+
+def check_finite(argument: str, values: Tensor) -> None:
+    """Raise `InputError` when values (n, ...) hold NaN or infinity, naming the first row."""
+    # A sum is finite only if every term is; it costs one pass and no temporary.
+    if bool(torch.isfinite(values.detach().sum())):
+        return
+    bad = (~torch.isfinite(values.detach())).flatten(1).any(-1).nonzero().squeeze(-1)
+    if len(bad):
+        raise InputError(
+            argument,
+            values[bad[0]].tolist(),
+            f"{len(bad)} of {len(values)} rows are NaN or infinite, the first is row "
+            f"{int(bad[0])}",
+            "drop them, or look for a division by zero where they were made",
+        )

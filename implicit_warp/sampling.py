@@ -1,0 +1,115 @@
+"""Samples of a shape's interior and of the handles' regions, by rejection on the fields."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fields import Field
+from implicit_warp.errors import InputError
+from implicit_warp.handles import Handle
+
+_BATCH = 1 << 17
+_MOST_CANDIDATES = 1 << 24
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Points of the rest shape, float64, in the user's units.
+
+    Attributes:
+        interior: (P, 3) uniform in the shape's inside.
+        regions: one (H, 3) a handle, uniform in the part of the shape that its region selects.
+    """
+
+    interior: Tensor
+    regions: list[Tensor]
+
+
+def sample_shape(
+    shape: Field, handles: Sequence[Handle], interior: int, per_region: int, seed: int
+) -> Samples:
+    """Draw points of the shape's inside, and of each handle's part of it.
+
+    Args:
+        shape: a field with finite bounds.
+        handles: their regions need no bounds.
+        interior: how many points of the inside.
+        per_region: how many points of each region; small regions may get fewer, never none.
+        seed: of the random numbers.
+
+    Raises:
+        InputError: the shape is unbounded or empty, a handle selects nothing, or two handles
+            want to move the same points to different places.
+    """
+    if shape.bounds is None:
+        raise InputError(
+            "shape",
+            shape,
+            "its bounds are unknown or infinite, so it cannot be sampled",
+            "intersect it with a box that holds the part to deform",
+        )
+    low, high = torch.tensor(shape.bounds)
+    generator = torch.Generator().manual_seed(seed)
+    inside: list[Tensor] = []
+    chosen: list[list[Tensor]] = [[] for _ in handles]
+    counts = [0] * len(handles)
+    found = tried = 0
+    # A region much smaller than the shape is looked for longer than the interior needs.
+    while tried < _MOST_CANDIDATES and (found < interior or min(counts, default=1) == 0 or (
+        min(counts, default=per_region) < per_region and tried < 16 * _BATCH
+    )):  # fmt: skip
+        candidates = torch.rand(_BATCH, 3, generator=generator, dtype=torch.float64)
+        candidates = low + candidates * (high - low)
+        candidates = candidates[shape.evaluate(candidates) <= 0]
+        tried += _BATCH
+        found += len(candidates)
+        inside.append(candidates)
+        for i, handle in enumerate(handles):
+            selected = candidates[handle.region.evaluate(candidates) <= 0]
+            chosen[i].append(selected)
+            counts[i] += len(selected)
+        if found == 0 and tried >= 32 * _BATCH:
+            break
+    if found == 0:
+        raise InputError(
+            "shape",
+            shape,
+            f"none of {tried} random points of its bounds lies inside",
+            "check its signs (negative inside) and that its parts overlap",
+        )
+    for handle, count in zip(handles, counts, strict=True):
+        if count == 0:
+            raise InputError(
+                "handles",
+                handle.name,
+                f"this handle selects nothing: none of {found} points of the shape lies in its "
+                f"region, and the shape's bounds are {shape.bounds.round(4).tolist()}",
+                "move or enlarge the region so that it meets the shape",
+            )
+    regions = [torch.cat(points)[:per_region] for points in chosen]
+    _refuse_contradictions(handles, regions, float((high - low).norm()))
+    return Samples(torch.cat(inside)[:interior], regions)
+
+
+def _refuse_contradictions(
+    handles: Sequence[Handle], regions: Sequence[Tensor], diagonal: float
+) -> None:
+    for i, first in enumerate(handles):
+        for second in handles[i + 1 :]:
+            shared = regions[i][second.region.evaluate(regions[i]) <= 0]
+            gap = (first.motion(shared) - second.motion(shared)).norm(dim=-1)
+            # Motions that agree to 1e-6 of the shape's size are the same for every purpose.
+            torn = gap > 1e-6 * diagonal
+            if bool(torn.any()):
+                raise InputError(
+                    "handles",
+                    [first.name, second.name],
+                    f"these two contradict each other: {int(torn.sum())} of {len(regions[i])} "
+                    f"points of the first lie in both regions, and are sent to places up to "
+                    f"{float(gap.max()):.3g} apart",
+                    "make the regions disjoint, or give both the same motion",
+                )

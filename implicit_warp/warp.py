@@ -1,0 +1,180 @@
+"""The compiled form of a TutteNet: frozen, fast, saveable, and checked to be injective."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from implicit_warp import evaluate
+from implicit_warp.errors import InputError, NotInjective
+from implicit_warp.layers import LayerStack, fuse_frames
+from implicit_warp.maps import Map
+from implicit_warp.square_mesh import SquareMesh, square_mesh
+
+if TYPE_CHECKING:
+    from implicit_warp.elastic_solve import SolveReport
+
+
+class Warp(Map):
+    """K prismatic layers between two affine maps; nothing in it can be trained.
+
+    The affine maps carry the user's units: a solve works in a unit domain and returns its result
+    as ``after . layers . before``.
+
+    Args:
+        embeddings: (K, V, 2) image vertices of each layer's square mesh, V = N^2 + (N-1)^2.
+        frames: (K, 3, 3) rotations, columns: plane axes and normal.
+        before, after: (3, 4) affine maps with positive determinant; the identity by default.
+        report: how a solve arrived at this map, if one did.
+
+    Raises:
+        InputError: shapes that do not fit, or values that are not finite.
+        NotInjective: a triangle or cone of a layer has no positive oriented area.
+
+    Guarantee: every oriented area, computed in float64, is positive.  Non-guarantee: areas within
+    rounding (about 1e-16) of zero are not decided exactly.
+    """
+
+    def __init__(
+        self,
+        embeddings: Tensor,
+        frames: Tensor,
+        before: Tensor | None = None,
+        after: Tensor | None = None,
+        report: SolveReport | None = None,
+    ) -> None:
+        self.embeddings = _frozen("embeddings", embeddings, (None, None, 2))
+        self.frames = _frozen("frames", frames, (len(self.embeddings), 3, 3))
+        unit = torch.eye(3, 4, dtype=torch.float64)
+        self.before = _frozen("before", unit if before is None else before, (3, 4))
+        self.after = _frozen("after", unit if after is None else after, (3, 4))
+        self.report = report
+        for name in ("before", "after"):
+            determinant = float(torch.linalg.det(getattr(self, name)[:, :3]))
+            if not determinant > 0:
+                raise InputError(
+                    name,
+                    getattr(self, name).tolist(),
+                    f"its determinant {determinant:.3g} is not positive",
+                    "affine parts must keep the orientation of space",
+                )
+        self._stack = LayerStack(
+            _mesh_of(self.embeddings),
+            self.embeddings,
+            fuse_frames(self.frames, self.before, self.after),
+        )
+        self._check_areas()
+
+    @property
+    def mesh(self) -> SquareMesh:
+        """The rest mesh that all layers share."""
+        return self._stack.mesh
+
+    @property
+    def n_layers(self) -> int:
+        """K, the number of layers."""
+        return len(self.embeddings)
+
+    @property
+    def resolution(self) -> int:
+        """N, the number of vertices a side of each layer's mesh."""
+        return self.mesh.resolution
+
+    @property
+    def stack(self) -> LayerStack:
+        """The layers as the back ends evaluate them."""
+        return self._stack
+
+    def __repr__(self) -> str:
+        return f"Warp(layers={self.n_layers}, resolution={self.resolution})"
+
+    def to(self, device) -> Warp:
+        """The same map with its tables on another device."""
+        parts = (self.embeddings, self.frames, self.before, self.after)
+        return Warp(*(part.to(device) for part in parts), report=self.report)
+
+    @cached_property
+    def smallest_area(self) -> float:
+        """Twice the smallest oriented area over all layers, triangles and cones alike."""
+        return float(self._stack.oriented_areas.min())
+
+    @cached_property
+    def lipschitz(self) -> tuple[float, float]:
+        """Lipschitz constants of f and of f^-1, as products of the layers' largest stretches.
+
+        They hold on the whole of R^3 and grow with every layer, so they are far above what a
+        typical pair of points sees.
+        """
+        return (
+            _stretch(self._stack.tables, self.before, self.after),
+            _stretch(self._stack.inverse_tables, *_inverses(self.before, self.after)),
+        )
+
+    def _check_areas(self) -> None:
+        areas = self._stack.oriented_areas
+        bad = (~(areas > 0)).nonzero()
+        if len(bad):
+            layer, cell = (int(i) for i in bad[0])
+            n = self.mesh.n_triangles
+            kind, index = ("triangle", cell) if cell < n else ("cone", cell - n)
+            raise NotInjective(layer, index, kind, float(areas[layer, cell]))
+
+    def _forward(self, points: Tensor) -> Tensor:
+        return evaluate.forward(self._stack, points)
+
+    def _forward_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return evaluate.forward_and_jacobian(self._stack, points)
+
+    def _inverse(self, points: Tensor) -> Tensor:
+        return evaluate.inverse(self._stack, points)
+
+    def _inverse_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return evaluate.inverse_and_jacobian(self._stack, points)
+
+
+def _frozen(argument: str, value: Tensor, shape: tuple[int | None, ...]) -> Tensor:
+    tensor = torch.as_tensor(value).detach().to(torch.float64).clone()
+    fits = tensor.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, tensor.shape, strict=True)
+    )
+    if not fits or 0 in tensor.shape:
+        wanted = tuple("?" if size is None else size for size in shape)
+        raise InputError(
+            argument, tuple(tensor.shape), f"the shape should be {wanted}", "check its origin"
+        )
+    if not bool(torch.isfinite(tensor).all()):
+        raise InputError(
+            argument, argument, "NaN or infinite values", "the solve or the file is damaged"
+        )
+    return tensor
+
+
+def _mesh_of(embeddings: Tensor) -> SquareMesh:
+    vertices = embeddings.shape[1]
+    # V = N^2 + (N - 1)^2
+    resolution = round((1 + (2 * vertices - 1) ** 0.5) / 2)
+    if resolution < 2 or resolution**2 + (resolution - 1) ** 2 != vertices:
+        raise InputError(
+            "embeddings",
+            tuple(embeddings.shape),
+            f"no square mesh has {vertices} vertices",
+            "V must be N^2 + (N-1)^2",
+        )
+    return square_mesh(resolution)
+
+
+def _stretch(tables: Tensor, first: Tensor, last: Tensor) -> float:
+    a, b, c, d = tables[..., :4].unbind(-1)
+    # Largest singular value of [[a, b], [c, d]].
+    largest = 0.5 * (torch.hypot(a + d, c - b) + torch.hypot(a - d, b + c))
+    layers = largest.amax(-1).clamp(min=1.0)  # the normal keeps its length
+    ends = [torch.linalg.matrix_norm(m[:, :3], 2) for m in (first, last)]
+    # The margin covers the rounding of a few hundred float64 operations.
+    return float(layers.prod() * ends[0] * ends[1]) * (1.0 + 1e-12)
+
+
+def _inverses(*matrices: Tensor) -> list[Tensor]:
+    return [torch.linalg.inv(m[:, :3]) for m in matrices]
