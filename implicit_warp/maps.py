@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -62,7 +63,7 @@ class Map(ABC):
         """Jacobians (..., 3, 3) at points (..., 3)."""
         return self.call_and_jacobian(points)[1]
 
-    @property
+    @cached_property
     def inv(self) -> Map:
         """The inverse, itself a map; ``m.inv.inv is m``."""
         return Inverse(self)
@@ -80,7 +81,7 @@ class Inverse(Map):
     def __init__(self, original: Map) -> None:
         self._original = original
 
-    @property
+    @cached_property
     def inv(self) -> Map:
         """The map that this one inverts."""
         return self._original

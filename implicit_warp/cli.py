@@ -1,0 +1,326 @@
+"""The command ``implicit-warp``.
+
+Exit codes: 0 good, 1 a mesh failed its check, 2 bad input, 130 interrupted (what was reached is on
+disk).
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import Positional, arg
+
+from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
+
+GOOD, BAD_MESH, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+Out = Annotated[Path, arg(aliases=["-o"])]
+Referee = Literal["manifold3d", "trimesh", "open3d", "pymeshlab"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Common:
+    threads: int | None = None
+    """Threads of torch and of the kernels; all cores if not given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deform(_Common):
+    """Bend a shape by handles: solve for an injective warp, extract the mesh, check the file.
+
+    SHAPE is a Python script that defines `shape` (it is run: use only scripts you trust), or a
+    closed mesh. The handle file says which regions stay and which move:
+
+        [[handle]]
+        region = "below(-0.6)"
+        hold = true
+
+        [[handle]]
+        region = "above(0.6)"
+        rotate = ["z", 60]
+
+    Example: implicit-warp deform part.py --handles part.toml -o part.stl --picture part.png
+    """
+
+    shape: Positional[Path]
+    """Field script (.py) or mesh file."""
+    handles: Path
+    """Handle file (.toml); its [solve] table may set options of the solve."""
+    out: Out
+    """The deformed mesh: .stl, .obj, .ply, .off, .glb or .3mf."""
+    resolution: int = 192
+    """Voxels along the longest side of the result's box."""
+    warp: Path | None = None
+    """Also save the map here (.safetensors)."""
+    report: Path | None = None
+    """Also save all figures here (.json)."""
+    picture: Path | None = None
+    """Also save a picture before | after here (.png)."""
+    steps: int | None = None
+    """At most so many steps of the solve."""
+    layers: int | None = None
+    """Layers of the warp."""
+    seed: int | None = None
+    """Seed of every random choice."""
+    referees: tuple[Referee, ...] = ("manifold3d",)
+    """Libraries whose verdict on the mesh is asked for beside ours."""
+
+    def run(self) -> int:
+        """Carry out the command; returns the exit code."""
+        from implicit_warp.elastic_solve import ElasticOptions
+        from implicit_warp.handles import load_handles
+        from implicit_warp.pipeline import deform_to_files
+        from implicit_warp.shapes import load_shape
+
+        shape = load_shape(self.shape)
+        handles, solve = load_handles(self.handles)
+        given = {"steps": self.steps, "layers": self.layers, "seed": self.seed}
+        solve.update({name: value for name, value in given.items() if value is not None})
+        outcome = deform_to_files(
+            shape,
+            handles,
+            self.out,
+            options=ElasticOptions.from_mapping(solve),
+            resolution=self.resolution,
+            warp_path=self.warp,
+            report_path=self.report,
+            picture_path=self.picture,
+            referees=self.referees,
+        )
+        solved = outcome.warp.report
+        _say(
+            f"solve: {solved.status} after {solved.steps} steps, {solved.seconds:.1f} s; handle "
+            f"error {solved.handle_error:.4g} ({100 * solved.handle_error_relative:.3f} % of the "
+            f"diagonal), smallest det J {outcome.report['map'].get('smallest_determinant', 0):.3g}"
+        )
+        if outcome.verdict is None:
+            _say("interrupted: no mesh was extracted" + _where(", the best warp is in", self.warp))
+            return INTERRUPTED
+        return _verdict(self.out, outcome.verdict, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extract(_Common):
+    """Turn a field script (or re-mesh a closed mesh) into a checked mesh.
+
+    Example: implicit-warp extract part.py -o part.stl --resolution 256
+    """
+
+    shape: Positional[Path]
+    """Field script (.py) or mesh file."""
+    out: Out
+    """The mesh: .stl, .obj, .ply, .off, .glb or .3mf."""
+    resolution: int = 192
+    """Voxels along the longest side of the shape's box."""
+    at_wall: Literal["error", "close"] = "error"
+    """What to do where the shape reaches the edge of its box: refuse, or close it there."""
+
+    def run(self) -> int:
+        """Carry out the command; returns the exit code."""
+        from implicit_warp.extraction import extract
+        from implicit_warp.progress import progress_bar
+        from implicit_warp.shapes import load_shape
+
+        shape = load_shape(self.shape)
+        with progress_bar("extract") as update:
+            mesh = extract(shape, self.resolution, at_wall=self.at_wall, progress=update)
+        return _write_and_check(mesh, self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Apply(_Common):
+    """Carry a mesh, a field script or points forward by a saved map.
+
+    A mesh keeps its faces and moves its vertices: a coarse one can come out with
+    self-intersections, and the check says so. A field script is pulled back and extracted. Points
+    are a .npy file of shape (n, 3).
+
+    Example: implicit-warp apply warp.safetensors scan.ply -o posed.ply
+    """
+
+    warp: Positional[Path]
+    """Map file (.safetensors)."""
+    thing: Positional[Path]
+    """Mesh file, field script (.py) or points (.npy)."""
+    out: Out
+    """A mesh file, or .npy for points."""
+    inverse: bool = False
+    """Apply the inverse map."""
+    resolution: int = 192
+    """For field scripts: voxels along the longest side of the result's box."""
+
+    def run(self) -> int:
+        """Carry out the command; returns the exit code."""
+        from implicit_warp.deformation import deform
+        from implicit_warp.extraction import extract
+        from implicit_warp.files import atomic_write, load
+        from implicit_warp.mesh_files import read_mesh
+        from implicit_warp.shapes import load_shape
+
+        map_ = load(self.warp)
+        map_ = map_.inv if self.inverse else map_
+        suffix = self.thing.suffix.lower()
+        if suffix == ".npy":
+            import numpy as np
+
+            moved = map_(_read_points(self.thing))
+            with atomic_write(self.out) as temporary, temporary.open("wb") as file:
+                np.save(file, moved)
+            _say(f"{self.out}: {len(moved)} points")
+            return GOOD
+        if suffix == ".py":
+            mesh = extract(deform(load_shape(self.thing), map_), self.resolution)
+        else:
+            mesh = deform(read_mesh(self.thing), map_)
+        return _write_and_check(mesh, self.out)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check(_Common):
+    """Check meshes: closed, manifold, oriented, not degenerate, free of self-intersections.
+
+    The exit code is 1 if any file fails.
+
+    Example: implicit-warp check part.stl --max-self-intersections 0 --json
+    """
+
+    files: Positional[tuple[Path, ...]]
+    """Mesh files."""
+    max_self_intersections: int = 0
+    """Pairs of faces that may intersect before a file fails."""
+    json: bool = False
+    """Print the reports as JSON."""
+    referees: tuple[Referee, ...] = ("manifold3d",)
+    """Libraries whose verdict is asked for beside ours."""
+
+    def run(self) -> int:
+        """Carry out the command; returns the exit code."""
+        from implicit_warp.checking import check
+
+        if not self.files:
+            raise InputError("files", (), "there is nothing to check", "name one or more meshes")
+        code, reports = GOOD, {}
+        for path in self.files:
+            report = check(path, referees=self.referees)
+            reports[str(path)] = report.to_dict()
+            if self.json:
+                bad = bool(report.problems_beyond(self.max_self_intersections))
+                code = max(code, BAD_MESH if bad else GOOD)
+            else:
+                code = max(code, _verdict(path, report, self.max_self_intersections))
+        if self.json:
+            _say(json.dumps(reports, indent=2))
+        return code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info(_Common):
+    """Say what is in a map file or a mesh file.
+
+    Example: implicit-warp info warp.safetensors
+    """
+
+    file: Positional[Path]
+    """Map (.safetensors), mesh, or field script (.py)."""
+
+    def run(self) -> int:
+        """Carry out the command; returns the exit code."""
+        from implicit_warp.files import load, read_metadata
+        from implicit_warp.mesh_files import read_mesh
+        from implicit_warp.pipeline import describe_map
+        from implicit_warp.shapes import load_shape
+        from implicit_warp.warp import Warp
+
+        suffix = self.file.suffix.lower()
+        if suffix == ".safetensors":
+            metadata, map_ = read_metadata(self.file), load(self.file)
+            facts = {"map": repr(map_), **metadata}
+            facts.pop("structure")
+            if isinstance(map_, Warp):
+                facts.update(describe_map(map_, None))
+                if map_.report is not None:
+                    solved = map_.report.to_dict()
+                    facts["solve"] = {k: solved[k] for k in ("status", "steps", "handle_error")}
+        elif suffix == ".py":
+            shape = load_shape(self.file)
+            bounds = None if shape.bounds is None else shape.bounds.tolist()
+            facts = {"shape": repr(shape), "bounds": bounds}
+            facts |= {"exact": shape.exact, "lipschitz": shape.lipschitz}
+        else:
+            mesh = read_mesh(self.file)
+            facts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+            facts["bounds"] = mesh.bounds.tolist()
+        for name, value in facts.items():
+            _say(f"{name}: {value}")
+        return GOOD
+
+
+COMMANDS = {"deform": Deform, "extract": Extract, "apply": Apply, "check": Check, "info": Info}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    command = tyro.extras.subcommand_cli_from_dict(
+        COMMANDS,
+        prog="implicit-warp",
+        description="Injective 3D warps of implicit fields: deform, extract, check.",
+        args=arguments,
+    )
+    try:
+        if command.threads is not None:
+            from implicit_warp.threads import set_threads
+
+            set_threads(command.threads)
+        return command.run()
+    except (InputError, FileFormatError, NotInjective, MissingDependency) as error:
+        sys.stderr.write(f"implicit-warp: {error}\n")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        sys.stderr.write("implicit-warp: interrupted\n")
+        return INTERRUPTED
+
+
+def _write_and_check(mesh, path: Path) -> int:
+    from implicit_warp.checking import check
+    from implicit_warp.mesh_files import write_mesh
+
+    write_mesh(mesh, path)
+    return _verdict(path, check(path), 0)
+
+
+def _verdict(path: Path, report, allowed: int) -> int:
+    problems = report.problems_beyond(allowed)
+    _say(f"{path}: {report.summary()}")
+    for problem in problems:
+        _say(f"  {problem}")
+    _say(f"{path}: " + ("FAILED" if problems else "good"))
+    return BAD_MESH if problems else GOOD
+
+
+def _read_points(path: Path):
+    import numpy as np
+
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(
+            "thing", str(path), f"not a readable .npy file ({error})", "save it with numpy.save"
+        ) from error
+
+
+def _where(words: str, path: Path | None) -> str:
+    return "" if path is None else f"{words} {path}"
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

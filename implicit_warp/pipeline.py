@@ -1,0 +1,191 @@
+"""The main job as one call: a shape and handles in, a checked mesh, a picture and a report out.
+
+The command ``implicit-warp deform`` and the demo are this, and nothing more.  Files appear in the
+order in which they are ready, each whole: the warp before the mesh is extracted, so that no later
+failure loses the solve.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+import implicit_warp
+from fields import Field
+from implicit_warp.deformation import deform
+from implicit_warp.elastic_solve import ElasticOptions, elastic
+from implicit_warp.files import atomic_write, save
+from implicit_warp.handles import Handle
+from implicit_warp.mesh_files import write_mesh
+from implicit_warp.warp import Warp
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from implicit_warp.checking import CheckReport
+
+_DETERMINANTS = 1_000_000
+"""Random points at which the report states the smallest det J."""
+
+PALETTE = ((70, 130, 180), (220, 110, 60), (90, 150, 90), (160, 100, 170), (200, 160, 50))
+"""Colours of the handles in pictures, in their order."""
+
+_BODY = (205, 205, 200)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What `deform_to_files` made.
+
+    Attributes:
+        warp: the map.
+        mesh: the deformed surface; None if the solve was interrupted.
+        verdict: the check of the file on disk; None if the solve was interrupted.
+        report: everything in plain values, as written to the report file.
+    """
+
+    warp: Warp
+    mesh: trimesh.Trimesh | None
+    verdict: CheckReport | None
+    report: dict[str, Any]
+
+
+def deform_to_files(
+    shape: Field,
+    handles: Sequence[Handle],
+    mesh_path: str | Path,
+    *,
+    options: ElasticOptions | None = None,
+    resolution: int = 192,
+    warp_path: str | Path | None = None,
+    report_path: str | Path | None = None,
+    picture_path: str | Path | None = None,
+    referees: Sequence[str] = ("manifold3d",),
+    progress: bool | None = None,
+) -> Outcome:
+    """Solve, pull the field back, extract, write, and check what was written.
+
+    Args:
+        shape: the rest shape.
+        handles: what is held and moved.
+        mesh_path: the deformed mesh, format by suffix.
+        options: of the elastic solve.
+        resolution: voxels along the longest side of the deformed shape's box.
+        warp_path: where to save the map (`.safetensors`).
+        report_path: where to save the report (JSON).
+        picture_path: where to save the picture before | after (PNG).
+        referees: libraries whose verdict is asked for beside ours, see `check`.
+        progress: as in `elastic`.
+
+    Raises:
+        InputError: see `elastic`, `extract` and `write_mesh`.
+    """
+    from implicit_warp.checking import check
+    from implicit_warp.extraction import extract
+    from implicit_warp.progress import progress_bar
+
+    warp = elastic(shape, handles, options=options, progress=progress)
+    if warp_path is not None:
+        save(warp, warp_path)
+    report: dict[str, Any] = {
+        "implicit_warp": implicit_warp.__version__,
+        "solve": warp.report.to_dict(),
+        "map": describe_map(warp, shape.bounds),
+    }
+    if warp.report.status == "interrupted":
+        if report_path is not None:
+            write_json(report, report_path)
+        return Outcome(warp, None, None, report)
+
+    start = time.perf_counter()
+    warped = deform(shape, warp)
+    with progress_bar("extract", progress) as update:
+        mesh = extract(warped, resolution, progress=update)
+    write_mesh(mesh, mesh_path)
+    extracted = time.perf_counter()
+    verdict = check(mesh_path, referees=referees)
+    report["extraction"] = {
+        "resolution": resolution,
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "seconds": extracted - start,
+    }
+    report["check"] = {**verdict.to_dict(), "seconds": time.perf_counter() - extracted}
+    if picture_path is not None:
+        start = time.perf_counter()
+        save_picture(shape, handles, warp, mesh, picture_path)
+        report["picture"] = {"seconds": time.perf_counter() - start}
+    if report_path is not None:
+        write_json(report, report_path)
+    return Outcome(warp, mesh, verdict, report)
+
+
+def describe_map(warp: Warp, bounds: np.ndarray | None) -> dict[str, Any]:
+    """Facts about a map in plain values; det J over random points of a box, if one is given."""
+    forward, backward = warp.lipschitz
+    facts: dict[str, Any] = {
+        "layers": warp.n_layers,
+        "resolution": warp.resolution,
+        "smallest_area": warp.smallest_area,
+        "lipschitz_bound": forward,
+        "lipschitz_bound_of_inverse": backward,
+    }
+    if bounds is not None:
+        facts["smallest_determinant"] = smallest_determinant(warp, bounds)
+        facts["determinants_sampled"] = _DETERMINANTS
+    return facts
+
+
+@torch.no_grad()
+def smallest_determinant(warp: Warp, bounds: np.ndarray, count: int = _DETERMINANTS) -> float:
+    """Smallest det J over uniform random points of a box (fixed seed)."""
+    low, high = torch.tensor(np.asarray(bounds))
+    generator = torch.Generator().manual_seed(0)
+    smallest = np.inf
+    for size in [1 << 17] * (count // (1 << 17)) + [count % (1 << 17)]:
+        points = low + torch.rand(size, 3, generator=generator, dtype=torch.float64) * (high - low)
+        if size:
+            smallest = min(smallest, float(torch.linalg.det(warp.jacobian(points)).min()))
+    return smallest
+
+
+def save_picture(
+    shape: Field,
+    handles: Sequence[Handle],
+    warp: Warp,
+    deformed: trimesh.Trimesh,
+    path: str | Path,
+    *,
+    resolution: int = 160,
+) -> None:
+    """The rest shape beside the deformed one, handles coloured alike on both."""
+    from implicit_warp.extraction import extract
+    from implicit_warp.render import Panel, render_row, save_png
+
+    rest = extract(shape, resolution)
+
+    def at_rest(points: np.ndarray) -> np.ndarray:
+        colours = np.tile(np.array(_BODY, dtype=np.float64) / 255.0, (len(points), 1))
+        for i, handle in enumerate(handles):
+            inside = handle.region(points) <= 0
+            colours[inside] = np.array(PALETTE[i % len(PALETTE)]) / 255.0
+        return colours
+
+    def after(points: np.ndarray) -> np.ndarray:
+        return at_rest(warp.inv(points))
+
+    image = render_row([Panel(rest, at_rest, "rest"), Panel(deformed, after, "deformed")])
+    save_png(path, image)
+
+
+def write_json(values: Any, path: str | Path) -> None:
+    """Write plain values as indented JSON, whole or not at all."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,66 @@
+"""Every kind of map, built at random, for tests that hold for all of them.
+
+A new subclass of `Map` must be added here: `test_map_laws` fails if one is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from implicit_warp.affine import Affine, rigid_motion
+from implicit_warp.maps import Composition, Inverse, Map
+from implicit_warp.tuttenet import TutteNet
+from implicit_warp.warp import Warp
+
+
+def random_net(
+    seed: int, *, layers: int = 5, resolution: int = 7, spread: float = 1.0, frames=None
+) -> TutteNet:
+    """A net with normally distributed parameters; random rotations unless frames are given."""
+    if frames is None:
+        frames = Rotation.random(layers, random_state=seed).as_matrix()
+    net = TutteNet(layers, resolution, frames)
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            noise = torch.randn(parameter.shape, generator=generator, dtype=torch.float64)
+            parameter.copy_(spread * noise)
+    return net
+
+
+def random_affine(seed: int) -> Affine:
+    """An affine map with singular values between 1/2 and 2."""
+    rng = np.random.default_rng(seed)
+    left, right = Rotation.random(2, random_state=seed).as_matrix()
+    stretch = np.diag(rng.uniform(0.5, 2.0, 3))
+    return Affine(left @ stretch @ right, rng.uniform(-1.0, 1.0, 3))
+
+
+def random_warp(seed: int, **options) -> Warp:
+    """A warp between two affine maps, as a solve returns it."""
+    net = random_net(seed, **options)
+    with torch.no_grad():
+        return Warp(
+            net.embeddings(), net.frames(), random_affine(seed).matrix, random_affine(seed + 1).matrix
+        )
+
+
+BUILDERS: dict[str, Callable[[int], Map]] = {
+    "affine": random_affine,
+    "rigid": lambda seed: rigid_motion(((1.0, 2.0, seed % 7), 50.0), (0.1, 0.2, 0.3)),
+    "net triplane": lambda seed: random_net(seed, frames="triplane"),
+    "net cubic": lambda seed: random_net(seed, layers=8, frames="cubic"),
+    "net free": lambda seed: random_net(seed, frames="free"),
+    "net random frames": random_net,
+    "net coarsest": lambda seed: random_net(seed, resolution=2),
+    "net single layer": lambda seed: random_net(seed, layers=1, resolution=3),
+    "warp": random_warp,
+    "inverse": lambda seed: random_warp(seed).inv,
+    "composition": lambda seed: random_warp(seed) @ random_affine(seed) @ random_warp(seed + 1).inv,
+}
+
+COVERED = (Affine, TutteNet, Warp, Inverse, Composition)

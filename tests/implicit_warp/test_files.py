@@ -1,0 +1,133 @@
+"""Map files: bit for bit, and nothing else is read as one."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+import torch
+
+import implicit_warp as iw
+from implicit_warp.errors import FileFormatError, InputError, NotInjective
+from implicit_warp.files import atomic_write, load, read_metadata, save
+from implicit_warp.maps import Map
+from tests.implicit_warp.registered_maps import BUILDERS, random_warp
+
+
+@pytest.mark.parametrize("build", BUILDERS.values(), ids=BUILDERS.keys())
+@torch.no_grad()
+def test_maps_come_back_bit_for_bit(build, tmp_path, seed):
+    m = build(seed)
+    path = tmp_path / "map.safetensors"
+    save(m, path, units="mm")
+    again = load(path)
+    x = 4.0 * torch.rand(100, 3, dtype=torch.float64) - 2.0
+    assert torch.equal(again(x), m(x))
+    assert torch.equal(again.inv(x), m.inv(x))
+    assert type(again) is type(m)
+    metadata = read_metadata(path)
+    assert metadata["units"] == "mm"
+    assert metadata["library_version"] == iw.__version__
+
+
+def test_a_net_comes_back_trainable(tmp_path, seed):
+    net = BUILDERS["net free"](seed)
+    save(net, tmp_path / "net.safetensors")
+    again = load(tmp_path / "net.safetensors")
+    assert {n for n, _ in again.named_parameters()} == {n for n, _ in net.named_parameters()}
+    assert all(p.requires_grad for p in again.parameters())
+
+
+@pytest.fixture
+def saved(tmp_path, seed):
+    path = tmp_path / "warp.safetensors"
+    save(random_warp(seed), path)
+    return path
+
+
+def test_truncated_file_is_refused(saved):
+    saved.write_bytes(saved.read_bytes()[:-100])
+    with pytest.raises(FileFormatError, match="may be truncated"):
+        load(saved)
+
+
+def test_other_contents_are_refused(saved, tmp_path):
+    from safetensors.torch import save_file
+
+    other = tmp_path / "other.safetensors"
+    save_file({"a": torch.zeros(2)}, other)
+    with pytest.raises(FileFormatError, match="holds no map"):
+        load(other)
+    other.write_text("hello")
+    with pytest.raises(FileFormatError, match="not a readable"):
+        load(other)
+    with pytest.raises(InputError, match="no such file"):
+        load(tmp_path / "none.safetensors")
+
+
+def rewrite(path, change):
+    from safetensors import safe_open
+    from safetensors.torch import save_file
+
+    with safe_open(path, framework="pt") as file:
+        metadata = dict(file.metadata())
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    change(metadata, tensors)
+    save_file(tensors, path, metadata=metadata)
+
+
+def test_newer_version_is_refused_by_name(saved):
+    rewrite(saved, lambda metadata, _: metadata.update(format_version="99"))
+    with pytest.raises(FileFormatError, match=r"format version '99'.*reads 1"):
+        load(saved)
+
+
+def test_damaged_description_is_refused(saved):
+    rewrite(saved, lambda metadata, _: metadata.update(structure='{"kind": "warp"}'))
+    with pytest.raises(FileFormatError, match="description is damaged"):
+        load(saved)
+
+
+def test_tampered_vertices_are_found_on_load(saved):
+    def fold(_, tensors):
+        tensors["0.embeddings"][0, -1] += 3.0
+
+    rewrite(saved, fold)
+    with pytest.raises(NotInjective, match="layer 0"):
+        load(saved)
+
+
+def test_maps_without_a_format_are_refused(tmp_path):
+    class Strange(Map):
+        _forward = _inverse = lambda self, points: points
+        _forward_and_jacobian = _inverse_and_jacobian = lambda self, points: (points, points)
+
+    with pytest.raises(InputError, match="no file format"):
+        save(Strange(), tmp_path / "map.safetensors")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    class Crash(Exception):
+        pass
+
+    with pytest.raises(Crash), atomic_write(path) as temporary:
+        temporary.write_text("half a fi")
+        raise Crash
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.txt"]
+    with atomic_write(path) as temporary:
+        temporary.write_text("new")
+        assert temporary.suffix == ".txt"
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_impossible_targets_are_named(tmp_path):
+    for path, words in [(tmp_path / "no" / "a.stl", "does not exist"), (tmp_path, "is a folder")]:
+        with pytest.raises(InputError, match=words), atomic_write(path):
+            pass
