@@ -157,5 +157,6 @@ def _from_numpy(argument: str, value: object) -> Tensor:
             "coordinates are real numbers in a regular array",
             "pass an array of floats of shape (..., 3)",
         )
-    dtype = np.float32 if array.dtype == np.float32 else np.float64
+    is_single = array.dtype.kind == "f" and array.dtype.itemsize == 4
+    dtype = np.float32 if is_single else np.float64
     return torch.from_numpy(np.require(array, dtype, ["C", "W", "A"]))

@@ -5,7 +5,9 @@ computation using the angle weighted pseudonormal", IEEE TVCG 2005): if c is the
 the surface nearest to p, then p is outside exactly if (p - c) . n > 0, where n is the
 normal of the face, the sum of the normals of both faces at an edge, or the sum of the
 normals weighted by their angles at a vertex, whichever c lies on. Unlike counting the
-crossings of a ray, this cannot be upset by a ray that passes through an edge.
+crossings of a ray, this cannot be upset by a ray that passes through an edge. Where parts
+touch in a vertex their sums are added: a ball around p that meets the surface only in that
+vertex is on the same side of all of them, so each sum has the same sign.
 """
 
 from __future__ import annotations
@@ -46,16 +48,14 @@ class ClosedMesh:
         faces: `(f, 3)`, counter-clockwise from outside.
         normals: `(f, 3)`, unit; zero for faces without area.
         neighbours: `(f, 3)`, the face across the edge from corner k to corner k + 1.
-        corner_normals: `(w, 3)`, angle-weighted, one for each fan of faces at a vertex.
-        corner_fans: `(f, 3)`, which of these belongs to the corner.
+        vertex_normals: `(v, 3)`, sums of the normals of the faces, weighted by angle.
     """
 
     vertices: Floats
     faces: Integers
     normals: Floats
     neighbours: Integers
-    corner_normals: Floats
-    corner_fans: Integers
+    vertex_normals: Floats
 
     def closest(self, points: Floats, triangles: Integers) -> Closest:
         """Signed distances and their gradients, if the nearest triangles are known.
@@ -88,7 +88,7 @@ class ClosedMesh:
             on_edge = feature == 1 + k
             normal[on_edge] += self.normals[self.neighbours[triangles[on_edge], k]]
             on_corner = feature == 4 + k
-            normal[on_corner] = self.corner_normals[self.corner_fans[triangles[on_corner], k]]
+            normal[on_corner] = self.vertex_normals[self.faces[triangles[on_corner], k]]
         return normal
 
 
@@ -161,11 +161,10 @@ def closed_mesh(vertices: ArrayLike, faces: ArrayLike) -> ClosedMesh:
         )
     lengths = np.linalg.norm(cross, axis=1, keepdims=True)
     normals = cross / np.where(lengths > 0, lengths, 1.0)
-    fans = _fans(neighbours, f)
     weighted = _corner_angles(corners)[:, :, None] * normals[:, None, :]
-    corner_normals = np.zeros((int(fans.max()) + 1, 3))
-    np.add.at(corner_normals, fans.reshape(-1), weighted.reshape(-1, 3))
-    return ClosedMesh(v, f, normals, neighbours, corner_normals, fans)
+    vertex_normals = np.zeros_like(v)
+    np.add.at(vertex_normals, f.reshape(-1), weighted.reshape(-1, 3))
+    return ClosedMesh(v, f, normals, neighbours, vertex_normals)
 
 
 def _checked_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, Integers]:
@@ -245,28 +244,6 @@ def _neighbours(faces: Integers) -> Integers:
             "(trimesh: mesh.merge_vertices())",
         )
     return (order[position] // 3).reshape(-1, 3)
-
-
-def _fans(neighbours: Integers, faces: Integers) -> Integers:
-    """Number the fans of faces around vertices: `(f, 3)`, one number a corner.
-
-    Usually a fan a vertex; more where parts touch in a point. Stepping from a corner to
-    the same vertex's corner in the next face permutes the corners, and the fans are the
-    cycles of this permutation: each corner finds the least corner of its cycle by steps
-    of doubling length.
-    """
-    corner = np.arange(faces.size)
-    # Crossing the edge that leaves a corner leads to the face where that edge enters it.
-    across = neighbours.reshape(-1)
-    entered = faces[across] == faces.reshape(-1)[:, None]
-    step = across * 3 + entered.argmax(axis=1)
-    least = corner
-    while True:
-        lower = np.minimum(least, least[step])
-        if np.array_equal(lower, least):
-            break
-        least, step = lower, step[step]
-    return np.unique(least, return_inverse=True)[1].reshape(-1, 3)
 
 
 def _corner_angles(corners: Floats) -> Floats:

@@ -30,7 +30,7 @@ class InputError(ValueError):
         super().__init__(f"{argument} = {_short(value)}: {cause}. {remedy}.")
 
 
-class MissingDependency(ImportError):
+class MissingDependency(ImportError):  # noqa: N818 (named for what is the matter)
     """An optional library that a feature needs is not installed or does not load."""
 
     def __init__(self, library: str, needed_for: str, remedy: str) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
-from inspect import signature
-from typing import ParamSpec, final, overload
+from typing import final, overload
 
 import numpy as np
 import torch
@@ -20,8 +18,6 @@ from fields.operations import RULES, Body, Rule
 from fields.oracle import FunctionOracle, Oracle
 from fields.tags import EVERYWHERE, Tags
 from fields.tape import Tape
-
-_P = ParamSpec("_P")
 
 
 @final
@@ -342,28 +338,6 @@ def make_field(body: Body, history: History) -> Field:
     field._tape = None
     field.history = history
     return field
-
-
-PRIMITIVES: dict[str, Callable[..., Field]] = {}
-"""Every primitive by name: the constructors that `fields.parse` accepts, and the list
-from which the tests draw."""
-
-
-def primitive(function: Callable[_P, Body]) -> Callable[_P, Field]:
-    """Make a constructor of fields from one of bodies, and enter it into `PRIMITIVES`."""
-    own_signature = signature(function)
-    optional = notation.defaults(function)
-    name = function.__name__
-
-    @wraps(function)
-    def constructor(*args: _P.args, **kwargs: _P.kwargs) -> Field:
-        given = own_signature.bind(*args, **kwargs).arguments
-        body = function(*args, **kwargs)
-        return make_field(body, notation.recorded(name, (), given, optional))
-
-    constructor.__signature__ = own_signature.replace(return_annotation="Field")  # type: ignore[attr-defined]
-    PRIMITIVES[name] = constructor
-    return constructor
 
 
 def from_function(

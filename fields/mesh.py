@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from fields.closed_mesh import ClosedMesh, Closest, closed_mesh
 from fields.errors import InputError, MissingDependency
@@ -52,8 +51,8 @@ def mesh(source: TriangleMesh | str | os.PathLike[str]) -> Field:
     mesh's diagonal, or of the distance itself where that is larger.
 
     Gradients are the unit vectors away from (outside) or towards (inside) the nearest
-    point, and on the surface the normal. They can be taken once, not differentiated
-    again. Points on other devices are brought to the CPU, and values taken back.
+    point, and on the surface the normal. Differentiating them again raises
+    NotImplementedError. Points on other devices are brought to the CPU, and values taken back.
 
     Args:
         source: an object with `vertices` and `faces`, such as `trimesh.Trimesh`; or the
@@ -143,14 +142,30 @@ class _SignedDistance(torch.autograd.Function):
         flat = points.detach().to("cpu", torch.float64).reshape(-1, 3).numpy()
         closest = oracle.closest(flat)
         like = {"dtype": points.dtype, "device": points.device}
-        ctx.save_for_backward(torch.from_numpy(closest.direction).to(**like).view(points.shape))
+        direction = torch.from_numpy(closest.direction).to(**like).view(points.shape)
+        ctx.save_for_backward(points, direction)
         return torch.from_numpy(closest.signed_distance).to(**like).view(points.shape[:-1])
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
-        (direction,) = ctx.saved_tensors
-        return upstream.unsqueeze(-1) * direction, None
+        points, direction = ctx.saved_tensors
+        return upstream.unsqueeze(-1) * _Direction.apply(points, direction), None
+
+
+class _Direction(torch.autograd.Function):
+    """The gradient as a function of the points, so that differentiating it again fails
+    instead of passing for zero."""
+
+    @staticmethod
+    def forward(ctx: Any, points: Tensor, direction: Tensor) -> Tensor:
+        return direction.clone()
+
+    @staticmethod
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
+        raise NotImplementedError(
+            "second derivatives of a mesh field are not available; take its gradient with "
+            "points.detach(), or sample it on a grid that can be differentiated twice"
+        )
 
 
 # --- files ----------------------------------------------------------------------------

@@ -262,11 +262,18 @@ def _turn(degrees: float, axis: Vector) -> Matrix:
 
 
 def _shortest_turn(target: Vector) -> Matrix:
-    """The rotation by the least angle that sends +z to a unit vector."""
-    if target[2] <= -1.0:
+    """The rotation by the least angle that sends +z to a unit vector.
+
+    I + K + K^2 / (1 + c), with K the cross product with z x target and c = target . z.
+    """
+    x, y, z = target
+    sine_squared = x * x + y * y
+    if z < 0 and sine_squared == 0:
         return np.diag([1.0, -1.0, -1.0])
-    cross = _cross_matrix((-target[1], target[0], 0.0))
-    return np.eye(3) + cross + cross @ cross / (1.0 + target[2])
+    cross = _cross_matrix((-y, x, 0.0))
+    # Near -z the divisor 1 + c is written sin^2 / (1 - c), which does not cancel.
+    divisor = 1 + z if z >= 0 else sine_squared / (1 - z)
+    return np.eye(3) + cross + cross @ cross / divisor
 
 
 def _rotation_matrix(value: ArrayLike) -> Matrix:

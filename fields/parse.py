@@ -13,9 +13,10 @@ from inspect import signature
 from typing import NoReturn
 
 from fields.errors import InputError
-from fields.field import PRIMITIVES, Field
+from fields.field import Field
 from fields.mesh import mesh
 from fields.operations import RULES
+from fields.primitives import PRIMITIVES
 
 LIMIT = 100_000
 """The longest text, in characters, that is read."""
@@ -41,8 +42,9 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
     between fields, numbers with a sign, strings, tuples, lists, and keyword arguments.
 
     Args:
-        text: one expression of at most 100,000 characters, nested at most a few hundred
-            levels deep.
+        text: one expression of at most 100,000 characters, with at most 200 parentheses
+            open at once (a limit of Python's own parser) and chains of at most some
+            hundreds of steps.
         allow_files: also allow `mesh("path")`, which reads a file.
 
     Raises:
@@ -131,8 +133,6 @@ class _Reader:
 
     def _operand(self, node: ast.expr) -> object:
         match node:
-            case ast.Constant(value=bool()):
-                self.refuse(self.column(node), "True and False have no meaning here")
             case ast.Constant(value=int() | float() | str() as value):
                 return value
             case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
@@ -175,12 +175,12 @@ class _Reader:
         )
 
     def _combined(self, node: ast.BinOp, left: object) -> Field:
-        right = self.value(node.right)
+        right, at = self.value(node.right), self.column(node.right)
         operator = _OPERATORS.get(type(node.op))
         if operator is None:
-            self.refuse(self.column(node), f"the operator {type(node.op).__name__} is not allowed")
+            self.refuse(at, f"the operator {type(node.op).__name__} is not allowed before this")
         if not isinstance(left, Field) or not isinstance(right, Field):
-            self.refuse(self.column(node), "operators combine fields only, not plain values")
+            self.refuse(at, "operators combine fields only, not plain values")
         return operator(left, right)
 
     def _method_called(self, node: ast.Call, receiver: object) -> Field:

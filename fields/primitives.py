@@ -14,11 +14,15 @@ distances is taken as it is, and a square root only outside.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import wraps
+from inspect import signature
+from typing import ParamSpec
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fields import arguments
+from fields import arguments, notation
 from fields.errors import InputError
 from fields.expression import (
     Coordinates,
@@ -32,11 +36,33 @@ from fields.expression import (
     minimum,
     where_negative,
 )
-from fields.field import primitive
+from fields.field import Field, make_field
 from fields.operations import Body
 from fields.tags import EVERYWHERE, Box, Tags
 
 _ORIGIN = (0.0, 0.0, 0.0)
+_P = ParamSpec("_P")
+
+PRIMITIVES: dict[str, Callable[..., Field]] = {}
+"""Every primitive by name: the constructors that `fields.parse` accepts, and the list
+from which the tests draw."""
+
+
+def primitive(function: Callable[_P, Body]) -> Callable[_P, Field]:
+    """Make a constructor of fields from one of bodies, and enter it into `PRIMITIVES`."""
+    own_signature = signature(function)
+    optional = notation.defaults(function)
+    name = function.__name__
+
+    @wraps(function)
+    def constructor(*args: _P.args, **kwargs: _P.kwargs) -> Field:
+        given = own_signature.bind(*args, **kwargs).arguments
+        body = function(*args, **kwargs)
+        return make_field(body, notation.recorded(name, (), given, optional))
+
+    constructor.__signature__ = own_signature.replace(return_annotation="Field")  # type: ignore[attr-defined]
+    PRIMITIVES[name] = constructor
+    return constructor
 
 
 def _body(expression: Expression, low: ArrayLike, high: ArrayLike) -> Body:

@@ -11,12 +11,15 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tyro.conf import Positional, arg
 
 from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
+
+if TYPE_CHECKING:
+    from implicit_warp.checking import CheckReport
 
 GOOD, BAD_MESH, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -102,7 +105,8 @@ class Deform(_Common):
         if outcome.verdict is None:
             _say("interrupted: no mesh was extracted" + _where(", the best warp is in", self.warp))
             return INTERRUPTED
-        return _verdict(self.out, outcome.verdict, 0)
+        _say(str(outcome.verdict))
+        return _verdict(outcome.verdict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,11 +213,9 @@ class Check(_Common):
         for path in self.files:
             report = check(path, referees=self.referees)
             reports[str(path)] = report.to_dict()
-            if self.json:
-                bad = bool(report.problems_beyond(self.max_self_intersections))
-                code = max(code, BAD_MESH if bad else GOOD)
-            else:
-                code = max(code, _verdict(path, report, self.max_self_intersections))
+            if not self.json:
+                _say(str(report))
+            code = max(code, _verdict(report, self.max_self_intersections))
         if self.json:
             _say(json.dumps(reports, indent=2))
         return code
@@ -291,16 +293,19 @@ def _write_and_check(mesh, path: Path) -> int:
     from implicit_warp.mesh_files import write_mesh
 
     write_mesh(mesh, path)
-    return _verdict(path, check(path), 0)
+    report = check(path)
+    _say(str(report))
+    return _verdict(report)
 
 
-def _verdict(path: Path, report, allowed: int) -> int:
-    problems = report.problems_beyond(allowed)
-    _say(f"{path}: {report.summary()}")
-    for problem in problems:
-        _say(f"  {problem}")
-    _say(f"{path}: " + ("FAILED" if problems else "good"))
-    return BAD_MESH if problems else GOOD
+def _verdict(report: CheckReport, allowed: int = 0) -> int:
+    from implicit_warp.checking import BadMesh
+
+    try:
+        report.raise_if_bad(allowed)
+    except BadMesh:
+        return BAD_MESH
+    return GOOD
 
 
 def _read_points(path: Path):

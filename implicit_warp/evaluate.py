@@ -1,7 +1,7 @@
 """Choice of the back end: one entry a quantity, whatever computes it.
 
-The Numba kernels serve CPU tensors in float32 and float64 when no gradient is asked for; the
-torch reference serves everything else.  Both give the same answers, to rounding.
+The Numba kernels serve CPU tensors in float32 and float64, with first-order gradients; the torch
+reference serves everything else.  Both give the same answers, to rounding.
 """
 
 from __future__ import annotations
@@ -55,22 +55,20 @@ def inverse_and_jacobian(stack: LayerStack, points: Tensor) -> tuple[Tensor, Ten
 
 
 def _choose(stack: LayerStack, points: Tensor):
-    differentiate = torch.is_grad_enabled() and (points.requires_grad or stack.requires_grad)
     fits = (
-        not differentiate
-        and points.device.type == "cpu"
+        points.device.type == "cpu"
         and stack.embeddings.device.type == "cpu"
         and points.dtype in (torch.float32, torch.float64)
     )
     if _forced == "numba" and not fits:
         raise InputError(
             "points",
-            f"{points.dtype} on {points.device}, gradients {differentiate}",
-            "the numba back end serves float32 and float64 on the CPU, without gradients",
+            f"{points.dtype} on {points.device}",
+            "the numba back end serves float32 and float64 on the CPU",
             'use back end "auto" or "torch"',
         )
     if fits and _forced != "torch":
-        from implicit_warp import numba_backend
+        from implicit_warp import numba_gradients
 
-        return numba_backend
+        return numba_gradients
     return torch_backend

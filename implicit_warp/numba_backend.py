@@ -1,4 +1,4 @@
-"""Numba back end: map, inverse and Jacobians on the CPU, without gradients.
+"""Numba back end: map, inverse and Jacobians on the CPU.
 
 Points go through all layers block by block, so that memory beyond the result stays constant.  A
 block lies in registers-and-cache-sized arrays, one a coordinate; each layer is two loops: the
@@ -50,24 +50,43 @@ class _Location(NamedTuple):
     neighbours: np.ndarray  # (C, 3) int32
 
 
-def forward(stack: LayerStack, points: Tensor, jacobian: bool) -> tuple[Tensor, Tensor | None]:
-    """f(points) for points (n, 3), and the Jacobians (n, 3, 3) if asked for."""
+def traverse(
+    stack: LayerStack, points: Tensor, jacobian: bool, found: np.ndarray | None = None
+) -> tuple[Tensor, Tensor | None]:
+    """f(points) for points (n, 3), and the Jacobians (n, 3, 3) if asked for.
+
+    Args:
+        stack: the layers.
+        points: float32 or float64 on the CPU.
+        jacobian: are the Jacobians wanted?
+        found: (K, n) int32, filled with each point's cell in each layer, if given.
+    """
     tables = _compiled(stack, points.dtype, "forward")
     x, y, jac = _arrays(points, jacobian)
+    arguments = (x, *tables, stack.mesh.resolution, y)
     if jacobian:
-        _map_with_jacobian(x, tables.cells, tables.transitions, stack.mesh.resolution, y, jac)
+        _map_with_jacobian(*arguments, jac, _NOWHERE if found is None else found)
         return torch.from_numpy(y), torch.from_numpy(jac)
-    _map(x, tables.cells, tables.transitions, stack.mesh.resolution, y)
+    _map(*arguments, _NOWHERE if found is None else found)
     return torch.from_numpy(y), None
 
 
-def inverse(stack: LayerStack, points: Tensor, jacobian: bool) -> tuple[Tensor, Tensor | None]:
-    """f^-1(points) for points (n, 3), and the Jacobians of f^-1 (n, 3, 3) if asked for."""
+def traverse_inverse(
+    stack: LayerStack, points: Tensor, jacobian: bool, found: np.ndarray | None = None
+) -> tuple[Tensor, Tensor | None]:
+    """f^-1(points) and the Jacobians of f^-1; arguments as for `traverse`.
+
+    The layers, and so the rows of found, are met in reverse order.
+    """
     tables = _compiled(stack, points.dtype, "inverse")
     location = _compiled(stack, points.dtype, "location")
     x, y, jac = _arrays(points, jacobian)
-    _invert(x, *tables, *location, stack.mesh.resolution, jacobian, y, jac)
+    found = _NOWHERE if found is None else found
+    _invert(x, *tables, *location, stack.mesh.resolution, jacobian, y, jac, found)
     return torch.from_numpy(y), torch.from_numpy(jac) if jacobian else None
+
+
+_NOWHERE = np.empty((0, 0), dtype=np.int32)
 
 
 def _arrays(points: Tensor, jacobian: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -151,7 +170,7 @@ def _cell_at_rest(x, y, scale, last, one, half, zero, n_side):
 
 
 @nb.njit(fastmath=_FAST, **_KERNEL)
-def _map(points, cells, transitions, resolution, out):
+def _map(points, cells, transitions, resolution, out, found):
     kind = points.dtype.type
     zero, half, one = kind(0.0), kind(0.5), kind(1.0)
     n_side = np.int32(resolution - 1)
@@ -173,6 +192,9 @@ def _map(points, cells, transitions, resolution, out):
             for i in range(m):
                 at[i] = _cell_at_rest(x[i], y[i], scale, last, one, half, zero, n_side) * np.int32(6)
             _apply_cells(cells[k], at, x, y, m)
+            if len(found):
+                for i in range(m):
+                    found[k, start + i] = at[i] // np.int32(6)
         _move(transitions[n_layers], x, y, z, m)
         for i in range(m):
             out[start + i, 0] = x[i]
@@ -230,7 +252,7 @@ def _mix_columns(table, at, jac, m):
 
 
 @nb.njit(fastmath=_FAST, **_KERNEL)
-def _map_with_jacobian(points, cells, transitions, resolution, out, jacobians):
+def _map_with_jacobian(points, cells, transitions, resolution, out, jacobians, found):
     kind = points.dtype.type
     zero, half, one = kind(0.0), kind(0.5), kind(1.0)
     n_side = np.int32(resolution - 1)
@@ -258,6 +280,9 @@ def _map_with_jacobian(points, cells, transitions, resolution, out, jacobians):
                 at[i] = _cell_at_rest(x[i], y[i], scale, last, one, half, zero, n_side) * np.int32(6)
             _mix_columns(cells[k], at, jac, m)
             _apply_cells(cells[k], at, x, y, m)
+            if len(found):
+                for i in range(m):
+                    found[k, start + i] = at[i] // np.int32(6)
         _move(transitions[n_layers], x, y, z, m)
         _turn_columns(transitions[n_layers], jac, m)
         for i in range(m):
@@ -330,8 +355,9 @@ def _guess(cells, forms, neighbours, n_triangles, side, guesses):
 
 @nb.njit(fastmath=_FAST, **_KERNEL)
 def _invert(
-    points, cells, transitions, guesses, forms, neighbours, resolution, with_jacobian, out, jacobians
-):
+    points, cells, transitions, guesses, forms, neighbours, resolution, with_jacobian,
+    out, jacobians, found,
+):  # fmt: skip
     kind = points.dtype.type
     zero, half, one = kind(0.0), kind(0.5), kind(1.0)
     n_side = np.int32(resolution - 1)
@@ -374,8 +400,8 @@ def _invert(
                 u[i] = table[a] * p + table[a + 1] * q + table[a + 4]
                 v[i] = table[a + 2] * p + table[a + 3] * q + table[a + 5]
             for i in range(m):
-                found = _cell_at_rest(u[i], v[i], scale, last, one, half, zero, n_side)
-                missed[i] = found - at[i]
+                cell = _cell_at_rest(u[i], v[i], scale, last, one, half, zero, n_side)
+                missed[i] = cell - at[i]
             for i in range(m):
                 if missed[i] != 0:
                     cell = _walk(table, forms, neighbours, x[i], y[i], at[i])
@@ -383,6 +409,8 @@ def _invert(
                     a = 6 * cell
                     u[i] = table[a] * x[i] + table[a + 1] * y[i] + table[a + 4]
                     v[i] = table[a + 2] * x[i] + table[a + 3] * y[i] + table[a + 5]
+            if len(found):
+                found[k, start : start + m] = at[:m]
             for i in range(m):
                 x[i] = u[i]
                 y[i] = v[i]

@@ -1,0 +1,38 @@
+"""The field's four standard deformation tests (Botsch and Sorkine 2008), solved and checked.
+
+A bar twisted by 135 degrees, a cylinder bent by 120, a plate lifted in the middle, a cactus whose
+arm is bent by 70.
+
+    python examples/standard/run.py --out out/standard            # all four
+    python examples/standard/run.py bar plate --resolution 256
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from implicit_warp.cli import main
+
+HERE = Path(__file__).parent
+NAMES = ("bar", "cylinder", "plate", "cactus")
+
+
+def run(name: str, out: Path, *options: str) -> int:
+    """Write NAME.stl, NAME.png, NAME.safetensors and NAME.json; 0 if the mesh is clean."""
+    out.mkdir(parents=True, exist_ok=True)
+    return main(
+        ["deform", str(HERE / f"{name}.py"), "--handles", str(HERE / f"{name}.toml")]
+        + ["--out", str(out / f"{name}.stl"), "--warp", str(out / f"{name}.safetensors")]
+        + ["--picture", str(out / f"{name}.png"), "--report", str(out / f"{name}.json")]
+        + [*options]
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", choices=[*NAMES, []])
+    parser.add_argument("--out", type=Path, default=Path("out/standard"))
+    arguments, options = parser.parse_known_args()
+    sys.exit(max(run(name, arguments.out, *options) for name in arguments.names or NAMES))

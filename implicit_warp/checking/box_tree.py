@@ -1,0 +1,182 @@
+"""Pairs of faces whose boxes overlap, by a tree of boxes over a space-filling curve.
+
+Faces are sorted along a Morton curve, packed in that order into leaves of `LEAF` faces, and
+the leaves are the bottom row of a complete binary tree stored like a heap (node k has
+children 2 k and 2 k + 1). A leaf needs to be tested only against leaves to its right; these
+are exactly the subtrees that hang to the right of its path to the root, so no pair is seen
+twice and nothing has to be filtered out afterwards.
+
+Boxes are closed: faces that merely touch are candidates.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from implicit_warp.checking.pair_filter import CLEAR, pair_verdict
+
+LEAF = 4
+_CELLS = 2**21 - 1  # 21 bits a coordinate fill the 63 bits of a Morton code
+
+
+def morton_order(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Permutation that sorts boxes by the Morton code of their centres."""
+    origin = low.min(axis=0)
+    extent = high.max(axis=0) - origin
+    scale = _CELLS / np.where(extent > 0, extent, 1.0)
+    return np.argsort(_morton_codes(low, high, origin, scale), kind="stable")
+
+
+@numba.njit(cache=True)
+def face_boxes(vertices, faces):
+    """Lower and upper corners, each `(F, 3)`, of the faces' axis-aligned boxes."""
+    low = np.empty((len(faces), 3))
+    high = np.empty((len(faces), 3))
+    for f in range(len(faces)):
+        for k in range(3):
+            x = vertices[faces[f, 0], k]
+            y = vertices[faces[f, 1], k]
+            z = vertices[faces[f, 2], k]
+            low[f, k] = min(x, y, z)
+            high[f, k] = max(x, y, z)
+    return low, high
+
+
+@numba.njit(cache=True)
+def _spread(x):
+    """Insert two zero bits after each of 21 bits."""
+    x = (x | (x << 32)) & 0x1F00000000FFFF
+    x = (x | (x << 16)) & 0x1F0000FF0000FF
+    x = (x | (x << 8)) & 0x100F00F00F00F00F
+    x = (x | (x << 4)) & 0x10C30C30C30C30C3
+    x = (x | (x << 2)) & 0x1249249249249249
+    return x
+
+
+@numba.njit(cache=True)
+def _morton_codes(low, high, origin, scale):
+    codes = np.empty(len(low), np.int64)
+    for f in range(len(low)):
+        code = 0
+        for k in range(3):
+            centre = 0.5 * (low[f, k] + high[f, k])
+            cell = np.int64((centre - origin[k]) * scale[k])
+            code |= _spread(min(max(cell, 0), _CELLS)) << k
+        codes[f] = code
+    return codes
+
+
+@numba.njit(cache=True)
+def build_tree(low, high):
+    """Node boxes `(2 m, 6)`, lower then upper corner, of sorted face boxes; m leaves."""
+    n = len(low)
+    leaves = 1
+    while leaves * LEAF < n:
+        leaves *= 2
+    nodes = np.empty((2 * leaves, 6))
+    nodes[:, :3] = np.inf
+    nodes[:, 3:] = -np.inf
+    for f in range(n):
+        node = leaves + f // LEAF
+        for k in range(3):
+            nodes[node, k] = min(nodes[node, k], low[f, k])
+            nodes[node, 3 + k] = max(nodes[node, 3 + k], high[f, k])
+    for node in range(leaves - 1, 0, -1):
+        for k in range(3):
+            nodes[node, k] = min(nodes[2 * node, k], nodes[2 * node + 1, k])
+            nodes[node, 3 + k] = max(nodes[2 * node, 3 + k], nodes[2 * node + 1, 3 + k])
+    return nodes
+
+
+@numba.njit(cache=True)
+def _boxes_apart(low, high, f, g):
+    return (
+        low[f, 0] > high[g, 0]
+        or low[g, 0] > high[f, 0]
+        or low[f, 1] > high[g, 1]
+        or low[g, 1] > high[f, 1]
+        or low[f, 2] > high[g, 2]
+        or low[g, 2] > high[f, 2]
+    )
+
+
+@numba.njit(cache=True)
+def _nodes_apart(nodes, m, n):
+    return (
+        nodes[m, 0] > nodes[n, 3]
+        or nodes[n, 0] > nodes[m, 3]
+        or nodes[m, 1] > nodes[n, 4]
+        or nodes[n, 1] > nodes[m, 4]
+        or nodes[m, 2] > nodes[n, 5]
+        or nodes[n, 2] > nodes[m, 5]
+    )
+
+
+@numba.njit(cache=True, parallel=True)
+def scan_pairs(vertices, faces, low, high, nodes, offsets, pairs, verdicts, limit):
+    """Judge all overlapping pairs and record those that are not certainly clear.
+
+    The leaves are split into `len(offsets) - 1` chunks, worked on in parallel. Chunk c
+    writes into the slots `offsets[c]` to `offsets[c + 1]` of `pairs (n, 2)` and `verdicts
+    (n,)`, goes on counting when these are full, and stops at `limit`.
+
+    Returns the records found and the pairs judged, one entry each a chunk.
+    """
+    n = len(faces)
+    leaves = len(nodes) // 2
+    used_leaves = (n + LEAF - 1) // LEAF
+    chunks = len(offsets) - 1
+    found = np.zeros(chunks, np.int64)
+    judged = np.zeros(chunks, np.int64)
+    for chunk in numba.prange(chunks):
+        stack = np.empty(64, np.int64)
+        count = 0
+        tests = 0
+        for leaf in range(chunk * used_leaves // chunks, (chunk + 1) * used_leaves // chunks):
+            if count > limit:
+                break
+            home = leaves + leaf
+            begin = leaf * LEAF
+            end = min(begin + LEAF, n)
+            stack[0] = home
+            depth = 1
+            path = home
+            while True:
+                while depth > 0 and count <= limit:
+                    depth -= 1
+                    node = stack[depth]
+                    if _nodes_apart(nodes, home, node):
+                        continue
+                    if node < leaves:
+                        stack[depth] = 2 * node
+                        stack[depth + 1] = 2 * node + 1
+                        depth += 2
+                        continue
+                    other = (node - leaves) * LEAF
+                    for f in range(begin, end):
+                        for g in range(max(other, f + 1), min(other + LEAF, n)):
+                            if _boxes_apart(low, high, f, g):
+                                continue
+                            tests += 1
+                            verdict = pair_verdict(vertices, faces, f, g)
+                            if verdict == CLEAR:
+                                continue
+                            slot = offsets[chunk] + count
+                            if slot < offsets[chunk + 1]:
+                                pairs[slot, 0] = f
+                                pairs[slot, 1] = g
+                                verdicts[slot] = verdict
+                            count += 1
+                # Climb to the next ancestor with a sibling on its right.
+                while path > 1 and path % 2 == 1:
+                    path //= 2
+                if path <= 1 or count > limit:
+                    break
+                stack[0] = path + 1
+                depth = 1
+                path //= 2
+        found[chunk] = count
+        judged[chunk] = tests
+    return found, judged
