@@ -238,9 +238,7 @@ class _Solver:
         centre = 0.5 * (points.amin(0) + points.amax(0))
         radius = float((points - centre).norm(dim=-1).max())
         if radius == 0.0:
-            raise InputError(
-                "shape", self.diagonal, "all of its points coincide", "give it a size"
-            )
+            raise InputError("shape", self.diagonal, "all of its points coincide", "give it a size")
         self.unit = _UNIT_RADIUS / radius
         scale = torch.eye(3, dtype=torch.float64) * self.unit
         before = torch.cat([scale, -self.unit * centre[:, None]], -1)
@@ -252,8 +250,7 @@ class _Solver:
         sizes = [len(p) for p in samples.regions]
         self.region_slices = [slice(sum(sizes[:i]), sum(sizes[: i + 1])) for i in range(len(sizes))]
         rotations = [
-            h.motion.matrix[:, :3].expand(n, 3, 3)
-            for h, n in zip(self.handles, sizes, strict=True)
+            h.motion.matrix[:, :3].expand(n, 3, 3) for h, n in zip(self.handles, sizes, strict=True)
         ]
         self.rotations = torch.cat(rotations).to(device, torch.float32)
         # Every handle counts alike however many points it got, times its own weight.

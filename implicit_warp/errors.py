@@ -11,7 +11,7 @@ from fields.errors import InputError, MissingDependency
 __all__ = ["FileFormatError", "InputError", "MissingDependency", "NotInjective"]
 
 
-class NotInjective(RuntimeError):
+class NotInjective(RuntimeError):  # noqa: N818 - it says what is the case, not what failed
     """A map failed its own proof: an oriented area is not positive.
 
     Attributes:

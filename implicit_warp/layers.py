@@ -39,10 +39,12 @@ class LayerStack:
 
     @property
     def n_layers(self) -> int:
+        """K, the number of layers."""
         return self.embeddings.shape[0]
 
     @property
     def requires_grad(self) -> bool:
+        """Does any gradient flow to the layers?"""
         return self.embeddings.requires_grad or self.transitions.requires_grad
 
     @cached_property
@@ -78,7 +80,9 @@ class LayerStack:
         return torch.cat([rest, rest.new_zeros(1, 2)])[cells][None], image[:, cells]
 
 
-def fuse_frames(frames: Tensor, before: Tensor | None = None, after: Tensor | None = None) -> Tensor:
+def fuse_frames(
+    frames: Tensor, before: Tensor | None = None, after: Tensor | None = None
+) -> Tensor:
     """Transitions (K + 1, 3, 4) of layers with the given frames (K, 3, 3).
 
     Args:

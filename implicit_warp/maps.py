@@ -199,7 +199,6 @@ def check_finite(argument: str, values: Tensor) -> None:
         raise InputError(
             argument,
             values[bad[0]].tolist(),
-            f"{len(bad)} of {len(values)} rows are NaN or infinite, the first is row "
-            f"{int(bad[0])}",
+            f"{len(bad)} of {len(values)} rows are NaN or infinite, the first is row {int(bad[0])}",
             "drop them, or look for a division by zero where they were made",
         )

@@ -70,9 +70,7 @@ def write_mesh(mesh: trimesh.Trimesh, path: str | Path) -> None:
         mesh.export(temporary)
 
 
-def merge_equal_vertices(
-    vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def merge_equal_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Make vertices with bitwise equal coordinates one, in order of first appearance."""
     # Adding zero turns -0.0 into 0.0, which is the same place.
     vertices = np.ascontiguousarray(np.asarray(vertices) + 0.0)

@@ -190,7 +190,9 @@ def _map(points, cells, transitions, resolution, out, found):
         for k in range(n_layers):
             _move(transitions[k], x, y, z, m)
             for i in range(m):
-                at[i] = _cell_at_rest(x[i], y[i], scale, last, one, half, zero, n_side) * np.int32(6)
+                at[i] = _cell_at_rest(x[i], y[i], scale, last, one, half, zero, n_side) * np.int32(
+                    6
+                )
             _apply_cells(cells[k], at, x, y, m)
             if len(found):
                 for i in range(m):
@@ -277,7 +279,9 @@ def _map_with_jacobian(points, cells, transitions, resolution, out, jacobians, f
             _move(transitions[k], x, y, z, m)
             _turn_columns(transitions[k], jac, m)
             for i in range(m):
-                at[i] = _cell_at_rest(x[i], y[i], scale, last, one, half, zero, n_side) * np.int32(6)
+                at[i] = _cell_at_rest(x[i], y[i], scale, last, one, half, zero, n_side) * np.int32(
+                    6
+                )
             _mix_columns(cells[k], at, jac, m)
             _apply_cells(cells[k], at, x, y, m)
             if len(found):
@@ -362,7 +366,11 @@ def _invert(
     zero, half, one = kind(0.0), kind(0.5), kind(1.0)
     n_side = np.int32(resolution - 1)
     scale, last = kind(0.5 * n_side), kind(n_side - 0.5)
-    grid, grid_scale, grid_last = np.int32(GUESS_GRID), kind(0.5 * GUESS_GRID), kind(GUESS_GRID - 0.5)
+    grid, grid_scale, grid_last = (
+        np.int32(GUESS_GRID),
+        kind(0.5 * GUESS_GRID),
+        kind(GUESS_GRID - 0.5),
+    )
     n_layers, n = len(cells), len(points)
     for b in nb.prange((n + BLOCK - 1) // BLOCK):
         x = np.empty(BLOCK, points.dtype)

@@ -63,18 +63,22 @@ class SquareMesh:
 
     @property
     def n_triangles(self) -> int:
+        """T, four a cell."""
         return len(self.triangles)
 
     @property
     def n_cones(self) -> int:
+        """M, one a boundary edge."""
         return len(self.boundary)
 
     @property
     def n_cells(self) -> int:
+        """C = T + M."""
         return len(self.triangles) + len(self.boundary)
 
     @property
     def n_edges(self) -> int:
+        """E, the number of weights."""
         return len(self.edges)
 
 

@@ -78,7 +78,9 @@ class TutteNet(Map, nn.Module):
         spread = 1.0 if init == "paper" else 0.0
         self.theta_weights = parameter(self.mesh.n_edges, spread)
         self.theta_boundary = parameter(self.mesh.n_cones, spread) if boundary == "free" else None
-        self.theta_frames = parameter(3, 0.0) if isinstance(frames, str) and frames == "free" else None
+        self.theta_frames = (
+            parameter(3, 0.0) if isinstance(frames, str) and frames == "free" else None
+        )
 
     @property
     def n_layers(self) -> int:

@@ -13,7 +13,7 @@ CONFTEST = Path(__file__).with_name("conftest.py").read_text()
 
 def test_one_thread_everywhere():
     assert torch.get_num_threads() == 1
-    assert numba.get_num_threads() == 1
+    assert numba.config.NUMBA_NUM_THREADS == 1
 
 
 @pytest.fixture

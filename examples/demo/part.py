@@ -2,7 +2,9 @@
 
 import fields as sdf
 
-eyes = sdf.cylinder(0.74, 0.58).translate((-1.6, 0, 0)) | sdf.cylinder(0.54, 0.58).translate((1.6, 0, 0))
+eyes = sdf.cylinder(0.74, 0.58).translate((-1.6, 0, 0)) | sdf.cylinder(0.54, 0.58).translate(
+    (1.6, 0, 0)
+)
 shank = sdf.rounded_box((3.0, 0.75, 0.36), 0.1)
 rib = sdf.rounded_box((2.6, 0.16, 0.6), 0.07)
 bores = sdf.cylinder(0.44).translate((-1.6, 0, 0)) | sdf.cylinder(0.3).translate((1.6, 0, 0))

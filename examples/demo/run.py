@@ -1,6 +1,6 @@
 """The main job on a real part: bend it by handles, write the mesh, the proof and the picture.
 
-    python examples/demo/run.py --out out/demo
+python examples/demo/run.py --out out/demo
 """
 
 from __future__ import annotations
@@ -17,12 +17,15 @@ HERE = Path(__file__).parent
 def run(out: Path, *options: str) -> int:
     """Write part.stl, part.png, warp.safetensors and report.json; 0 if the mesh is clean."""
     out.mkdir(parents=True, exist_ok=True)
-    return main(
-        ["deform", str(HERE / "part.py"), "--handles", str(HERE / "handles.toml")]
-        + ["--out", str(out / "part.stl"), "--warp", str(out / "warp.safetensors")]
-        + ["--picture", str(out / "part.png"), "--report", str(out / "report.json")]
-        + [*options]
-    )
+    files = {
+        "--handles": HERE / "handles.toml",
+        "--out": out / "part.stl",
+        "--warp": out / "warp.safetensors",
+        "--picture": out / "part.png",
+        "--report": out / "report.json",
+    }
+    named = [str(word) for pair in files.items() for word in pair]
+    return main(["deform", str(HERE / "part.py"), *named, *options])
 
 
 if __name__ == "__main__":

@@ -22,12 +22,15 @@ NAMES = ("bar", "cylinder", "plate", "cactus")
 def run(name: str, out: Path, *options: str) -> int:
     """Write NAME.stl, NAME.png, NAME.safetensors and NAME.json; 0 if the mesh is clean."""
     out.mkdir(parents=True, exist_ok=True)
-    return main(
-        ["deform", str(HERE / f"{name}.py"), "--handles", str(HERE / f"{name}.toml")]
-        + ["--out", str(out / f"{name}.stl"), "--warp", str(out / f"{name}.safetensors")]
-        + ["--picture", str(out / f"{name}.png"), "--report", str(out / f"{name}.json")]
-        + [*options]
-    )
+    files = {
+        "--handles": HERE / f"{name}.toml",
+        "--out": out / f"{name}.stl",
+        "--warp": out / f"{name}.safetensors",
+        "--picture": out / f"{name}.png",
+        "--report": out / f"{name}.json",
+    }
+    named = [str(word) for pair in files.items() for word in pair]
+    return main(["deform", str(HERE / f"{name}.py"), *named, *options])
 
 
 if __name__ == "__main__":

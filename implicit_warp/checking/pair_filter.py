@@ -186,10 +186,9 @@ def _segment_triangle(v, p, q, a, b, c):
     turn_ca = orient3d(v, p, q, c, a)
     left = turn_ab > 0 or turn_bc > 0 or turn_ca > 0
     right = turn_ab < 0 or turn_bc < 0 or turn_ca < 0
-    # One end certainly off the plane: the line meets the plane in one point at most, and the
-    # turns tell that point from the triangle.
-    off_plane = side_p != 0 or side_q != 0
-    if off_plane and left and right:
+    # A turn that is certain puts the line off the plane of abc; it then meets that plane in one
+    # point at most, and turns of both signs say that this point is outside the triangle.
+    if left and right:
         return CLEAR
     if side_p == 0 or side_q == 0 or turn_ab == 0 or turn_bc == 0 or turn_ca == 0:
         return UNSURE_PAIR

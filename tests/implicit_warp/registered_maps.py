@@ -45,7 +45,10 @@ def random_warp(seed: int, **options) -> Warp:
     net = random_net(seed, **options)
     with torch.no_grad():
         return Warp(
-            net.embeddings(), net.frames(), random_affine(seed).matrix, random_affine(seed + 1).matrix
+            net.embeddings(),
+            net.frames(),
+            random_affine(seed).matrix,
+            random_affine(seed + 1).matrix,
         )
 
 

@@ -42,9 +42,7 @@ def test_report_is_measured_on_the_map_it_comes_with(twisted):
     assert abs(float(energy.mean()) - twisted.report.loss["elastic"]) < error
     assert (torch.linalg.det(jacobian) > 0).all()
     squares = [
-        (h.motion(p) - twisted(p)).square().sum(1)
-        for h in HANDLES
-        for p in [x[h.region(x) <= 0]]
+        (h.motion(p) - twisted(p)).square().sum(1) for h in HANDLES for p in [x[h.region(x) <= 0]]
     ]
     rms = float(torch.cat(squares).mean().sqrt())
     assert rms == pytest.approx(twisted.report.handle_error, rel=0.2)

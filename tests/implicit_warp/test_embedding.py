@@ -34,7 +34,9 @@ def test_topology_of_the_mesh(resolution):
     assert mesh.n_triangles == 4 * (n - 1) ** 2
     assert mesh.n_cones == 4 * (n - 1)
     # Euler's formula of a disc, with every undirected edge counted once.
-    sides = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
+    sides = np.concatenate(
+        [mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]]
+    )
     undirected = np.unique(np.sort(sides, 1), axis=0)
     assert len(mesh.vertices) - len(undirected) + mesh.n_triangles == 1
     # The weights' edges are exactly the directed edges that start at an interior vertex.
@@ -90,7 +92,9 @@ def test_zero_parameters_are_the_identity(resolution):
 @RESOLUTIONS
 @pytest.mark.parametrize("spread", [1.0, 3.0, 1e3])
 @torch.no_grad()
-def test_all_oriented_areas_are_positive_even_at_the_limits_of_the_weights(resolution, spread, seed):
+def test_all_oriented_areas_are_positive_even_at_the_limits_of_the_weights(
+    resolution, spread, seed
+):
     mesh = square_mesh(resolution)
     theta_w, theta_b = random_parameters(mesh, seed, spread, layers=20)
     boundary = boundary_positions(theta_b, mesh)

@@ -111,12 +111,13 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
 
-    class Crash(Exception):
-        pass
+    def crash_halfway():
+        with atomic_write(path) as temporary:
+            temporary.write_text("half a fi")
+            raise RuntimeError("power cut")
 
-    with pytest.raises(Crash), atomic_write(path) as temporary:
-        temporary.write_text("half a fi")
-        raise Crash
+    with pytest.raises(RuntimeError, match="power cut"):
+        crash_halfway()
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["a.txt"]
     with atomic_write(path) as temporary:

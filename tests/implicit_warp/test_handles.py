@@ -15,7 +15,9 @@ from implicit_warp.sampling import sample_shape
 
 def test_motion_turns_about_the_pivot_and_then_shifts():
     handle = iw.move(sdf.above(0), rotate=("z", 90), pivot=(1, 0, 0), translate=(0, 0, 5))
-    np.testing.assert_allclose(handle.motion(np.array([2.0, 0.0, 1.0])), (1.0, 1.0, 6.0), atol=1e-15)
+    np.testing.assert_allclose(
+        handle.motion(np.array([2.0, 0.0, 1.0])), (1.0, 1.0, 6.0), atol=1e-15
+    )
 
 
 def test_rotation_about_any_axis_is_right_handed_and_keeps_it():
@@ -139,7 +141,10 @@ def test_a_tiny_region_is_still_found():
         (BALL & sdf.sphere(1.0, center=(1.999, 0, 0)) & sdf.above(0.5), [], "none of"),
         (
             BALL,
-            [iw.hold(sdf.below(0.1), name="a"), iw.move(sdf.above(-0.1), rotate=("z", 9), name="b")],
+            [
+                iw.hold(sdf.below(0.1), name="a"),
+                iw.move(sdf.above(-0.1), rotate=("z", 9), name="b"),
+            ],
             "['a', 'b']: these two contradict each other",
         ),
     ],

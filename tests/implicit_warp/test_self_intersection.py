@@ -28,8 +28,7 @@ def random_points(kind: str, rng: np.random.Generator) -> np.ndarray:
     points = rng.integers(-2, 3, (6, 3)).astype(float)
     if kind == "near":
         turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-        points = points @ turn * rng.choice([1e-30, 1 / 3, 1e7])
-        points += rng.choice([0.0, 1e-9])
+        points = (points @ turn + rng.choice([0.0, 100.0])) * rng.choice([1e-30, 1 / 3, 1e7])
     return points
 
 
