@@ -7,6 +7,9 @@ are exactly the subtrees that hang to the right of its path to the root, so no p
 twice and nothing has to be filtered out afterwards.
 
 Boxes are closed: faces that merely touch are candidates.
+
+For developers: Numba's cache of a compiled function does not notice changes in functions of
+other modules. After editing `predicates` or `pair_filter`, delete this folder's `__pycache__`.
 """
 
 from __future__ import annotations
