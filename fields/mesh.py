@@ -97,7 +97,7 @@ class MeshOracle:
     outputs = 1
 
     def __init__(self, surface: ClosedMesh) -> None:
-        o3d = _open3d()
+        o3d = import_open3d("a mesh field")
         low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         # Float32 resolves a mesh best if it is centred and of size one.
         self._center = (low + high) / 2
@@ -127,7 +127,9 @@ class MeshOracle:
         return found["primitive_ids"].numpy().astype(np.int64)
 
     def _tensor(self, points: np.ndarray) -> Any:
-        return _open3d().core.Tensor(((points - self._center) / self._size).astype(np.float32))
+        return import_open3d("a mesh field").core.Tensor(
+            ((points - self._center) / self._size).astype(np.float32)
+        )
 
 
 def _indices(o3d: ModuleType, surface: ClosedMesh) -> Any:
@@ -171,13 +173,14 @@ class _Direction(torch.autograd.Function):
 # --- files ----------------------------------------------------------------------------
 
 
-def _open3d() -> ModuleType:
+def import_open3d(needed_for: str) -> ModuleType:
+    """Open3D, or an error that says what needs it and how to get it."""
     try:
         return import_module("open3d")
     except (ImportError, OSError) as error:
         raise MissingDependency(
             "open3d",
-            "a mesh field",
+            needed_for,
             "Install it with `pip install open3d`; on Debian it also needs the packages "
             f"libusb-1.0-0 libegl1 libgl1 (the import said: {error})",
         ) from error
@@ -193,7 +196,7 @@ def _read(path: Path) -> ClosedMesh:
             f"files of the kind {path.suffix or '(no extension)'} are not read here",
             f"use one of {', '.join(FORMATS)}, or load it with trimesh and pass the mesh",
         )
-    o3d = _open3d()
+    o3d = import_open3d("a mesh field")
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         loaded = o3d.io.read_triangle_mesh(str(path))
     vertices, faces = np.asarray(loaded.vertices), np.asarray(loaded.triangles)

@@ -14,14 +14,13 @@ dL/dw_ij = mu_i . (u_j - u_i) / sum_j w_ij and dL/db = dL/du_b + (P^T mu)_b.
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 import torch
+from numba import prange
 from torch import Tensor
 
+from implicit_warp.jit import parallel_kernel
 from implicit_warp.square_mesh import SquareMesh
-
-_OPTIONS = {"cache": True, "parallel": True, "error_model": "numpy"}
 
 
 def solve_banded(weights: Tensor, boundary: Tensor, mesh: SquareMesh) -> Tensor:
@@ -67,7 +66,7 @@ def _band_position(mesh: SquareMesh) -> np.ndarray:
     return position
 
 
-@nb.njit(**_OPTIONS)
+@parallel_kernel
 def _factor(w, corners, neighbours, inner, position, n):
     """Normalise the weights, eliminate the centres and factor, layer by layer.
 
@@ -80,7 +79,7 @@ def _factor(w, corners, neighbours, inner, position, n):
     totals = np.empty((layers, n_centres + n_inner))
     factors = np.zeros((layers, n_inner, 2 * half + 1))
     first = 4 * n_centres
-    for k in nb.prange(layers):
+    for k in prange(layers):
         p = normalised[k]
         for c in range(n_centres):
             total = 0.0
@@ -124,12 +123,12 @@ def _factor(w, corners, neighbours, inner, position, n):
     return normalised, totals, factors
 
 
-@nb.njit(**_OPTIONS)
+@parallel_kernel
 def _substitute(normalised, factors, corners, neighbours, inner, position, n, u):
     """Fill u's inner vertices and centres; its boundary vertices are given."""
     n_centres, n_inner = corners.shape[0], inner.shape[0]
     half, first = n - 1, 4 * n_centres
-    for k in nb.prange(u.shape[0]):
+    for k in prange(u.shape[0]):
         p, m, x = normalised[k], factors[k], u[k]
         for g in range(n_inner):
             sx, sy = 0.0, 0.0
@@ -171,7 +170,7 @@ def _substitute(normalised, factors, corners, neighbours, inner, position, n, u)
             x[n * n + c, 1] = sy
 
 
-@nb.njit(**_OPTIONS)
+@parallel_kernel
 def _adjoint(normalised, totals, factors, corners, neighbours, inner, position, n, u, mu):
     """Turn mu from dL/du into the multipliers, in place; return dL/dw.
 
@@ -180,7 +179,7 @@ def _adjoint(normalised, totals, factors, corners, neighbours, inner, position, 
     layers, n_centres, n_inner = u.shape[0], corners.shape[0], inner.shape[0]
     half, first = n - 1, 4 * n_centres
     grad = np.empty_like(normalised)
-    for k in nb.prange(layers):
+    for k in prange(layers):
         p, m, x, y = normalised[k], factors[k], u[k], mu[k]
         # Transposed elimination: a centre's own gradient passes to its corners ...
         for c in range(n_centres):

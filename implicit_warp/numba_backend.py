@@ -16,11 +16,12 @@ from __future__ import annotations
 import weakref
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 import torch
+from numba import prange
 from torch import Tensor
 
+from implicit_warp.jit import inlined, kernel, parallel_kernel, point_kernel
 from implicit_warp.layers import LayerStack
 from implicit_warp.square_mesh import SquareMesh
 
@@ -31,8 +32,6 @@ GUESS_GRID = 128
 """Samples a side of the grid of guessed cells."""
 
 _NUMPY = {torch.float32: np.float32, torch.float64: np.float64}
-_KERNEL = {"cache": True, "parallel": True, "nogil": True, "error_model": "numpy"}
-_FAST = {"contract", "nsz"}
 
 
 class _Tables(NamedTuple):
@@ -142,7 +141,7 @@ def rest_forms(mesh: SquareMesh) -> np.ndarray:
     return np.ascontiguousarray(forms)
 
 
-@nb.njit(inline="always")
+@inlined
 def _cell_at_rest(x, y, scale, last, one, half, zero, n_side):
     """The cell of the rest mesh that holds (x, y); straight-line code, so that it vectorises."""
     u = (x + one) * scale
@@ -169,14 +168,14 @@ def _cell_at_rest(x, y, scale, last, one, half, zero, n_side):
     return triangle if reach <= one else cone
 
 
-@nb.njit(fastmath=_FAST, **_KERNEL)
+@point_kernel
 def _map(points, cells, transitions, resolution, out, found):
     kind = points.dtype.type
     zero, half, one = kind(0.0), kind(0.5), kind(1.0)
     n_side = np.int32(resolution - 1)
     scale, last = kind(0.5 * n_side), kind(n_side - 0.5)
     n_layers, n = len(cells), len(points)
-    for b in nb.prange((n + BLOCK - 1) // BLOCK):
+    for b in prange((n + BLOCK - 1) // BLOCK):
         x = np.empty(BLOCK, points.dtype)
         y = np.empty(BLOCK, points.dtype)
         z = np.empty(BLOCK, points.dtype)
@@ -204,7 +203,7 @@ def _map(points, cells, transitions, resolution, out, found):
             out[start + i, 2] = z[i]
 
 
-@nb.njit(inline="always")
+@inlined
 def _move(t, x, y, z, m):
     """Apply a transition to a block in place."""
     t00, t01, t02, t03 = t[0], t[1], t[2], t[3]
@@ -217,7 +216,7 @@ def _move(t, x, y, z, m):
         z[i] = t20 * p + t21 * q + t22 * r + t23
 
 
-@nb.njit(inline="always")
+@inlined
 def _turn_columns(t, jac, m):
     """Multiply the Jacobians (9, m) of a block by a transition's linear part, from the left."""
     t00, t01, t02 = t[0], t[1], t[2]
@@ -231,7 +230,7 @@ def _turn_columns(t, jac, m):
             jac[c + 6, i] = t20 * p + t21 * q + t22 * r
 
 
-@nb.njit(inline="always")
+@inlined
 def _apply_cells(table, at, x, y, m):
     """Apply each point's own cell; at holds six times the cell's index."""
     for i in range(m):
@@ -241,7 +240,7 @@ def _apply_cells(table, at, x, y, m):
         y[i] = table[a + 2] * p + table[a + 3] * q + table[a + 5]
 
 
-@nb.njit(inline="always")
+@inlined
 def _mix_columns(table, at, jac, m):
     """The same for Jacobians: the plane rows mix, the normal row stays."""
     for i in range(m):
@@ -253,14 +252,14 @@ def _mix_columns(table, at, jac, m):
             jac[c + 3, i] = a10 * p + a11 * q
 
 
-@nb.njit(fastmath=_FAST, **_KERNEL)
+@point_kernel
 def _map_with_jacobian(points, cells, transitions, resolution, out, jacobians, found):
     kind = points.dtype.type
     zero, half, one = kind(0.0), kind(0.5), kind(1.0)
     n_side = np.int32(resolution - 1)
     scale, last = kind(0.5 * n_side), kind(n_side - 0.5)
     n_layers, n = len(cells), len(points)
-    for b in nb.prange((n + BLOCK - 1) // BLOCK):
+    for b in prange((n + BLOCK - 1) // BLOCK):
         x = np.empty(BLOCK, points.dtype)
         y = np.empty(BLOCK, points.dtype)
         z = np.empty(BLOCK, points.dtype)
@@ -298,7 +297,7 @@ def _map_with_jacobian(points, cells, transitions, resolution, out, jacobians, f
                     jacobians[start + i, r, c] = jac[3 * r + c, i]
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel
 def _smallest_coordinate(forms, c, u, v):
     """The smallest coordinate of rest point (u, v) in cell c, and which one it is."""
     smallest = forms[c, 0] * u + forms[c, 1] * v + forms[c, 2]
@@ -311,7 +310,7 @@ def _smallest_coordinate(forms, c, u, v):
     return smallest, which
 
 
-@nb.njit(cache=True, error_model="numpy")
+@kernel
 def _walk(table, forms, neighbours, x, y, cell):
     """The cell whose image holds (x, y), starting the search at a cell near by."""
     best, best_value = cell, -np.inf
@@ -340,10 +339,10 @@ def _walk(table, forms, neighbours, x, y, cell):
     return best
 
 
-@nb.njit(**_KERNEL)
+@parallel_kernel
 def _guess(cells, forms, neighbours, n_triangles, side, guesses):
     """Fill the guess grids: the cell of each sample's centre, found by walking along the rows."""
-    for k in nb.prange(len(cells)):
+    for k in prange(len(cells)):
         table = cells[k]
         row = 0
         for i in range(side):
@@ -357,7 +356,7 @@ def _guess(cells, forms, neighbours, n_triangles, side, guesses):
                     row = cell
 
 
-@nb.njit(fastmath=_FAST, **_KERNEL)
+@point_kernel
 def _invert(
     points, cells, transitions, guesses, forms, neighbours, resolution, with_jacobian,
     out, jacobians, found,
@@ -372,7 +371,7 @@ def _invert(
         kind(GUESS_GRID - 0.5),
     )
     n_layers, n = len(cells), len(points)
-    for b in nb.prange((n + BLOCK - 1) // BLOCK):
+    for b in prange((n + BLOCK - 1) // BLOCK):
         x = np.empty(BLOCK, points.dtype)
         y = np.empty(BLOCK, points.dtype)
         z = np.empty(BLOCK, points.dtype)

@@ -17,12 +17,13 @@ One kernel serves both directions: the inverse is the same traversal with the in
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 import torch
+from numba import prange
 from torch import Tensor
 
 from implicit_warp import numba_backend
+from implicit_warp.jit import inlined, point_kernel
 from implicit_warp.layers import LayerStack
 
 _PARTS = 4
@@ -95,7 +96,7 @@ class _Traverse(torch.autograd.Function):
         )
 
 
-@nb.njit(cache=True, parallel=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@point_kernel
 def _backward(
     points, found, cells, transitions, grad_image, grad_jacobians, with_transitions,
     grad_points, grad_cells, grad_transitions,
@@ -107,7 +108,7 @@ def _backward(
     wide = len(grad_jacobians) > 0
     rows = 12 if wide else 3
     blocks = (n + _BLOCK - 1) // _BLOCK
-    for part in nb.prange(_PARTS):
+    for part in prange(_PARTS):
         history = np.empty((n_layers, rows, _BLOCK), points.dtype)
         state = np.empty((rows, _BLOCK), points.dtype)
         grad = np.empty((rows, _BLOCK), points.dtype)
@@ -161,7 +162,7 @@ def _backward(
                     grad_points[start + i, c] = grad[c, i]
 
 
-@nb.njit(inline="always")
+@inlined
 def _transit(t, state, out, m, wide):
     """out = T state: rows 0 to 2 are the point, rows 3 to 11 the Jacobian, row by row."""
     for i in range(m):
@@ -178,7 +179,7 @@ def _transit(t, state, out, m, wide):
                 out[c + 6, i] = t[8] * p + t[9] * q + t[10] * r
 
 
-@nb.njit(inline="always")
+@inlined
 def _transit_back(t, grad, m, wide):
     for i in range(m):
         p, q, r = grad[0, i], grad[1, i], grad[2, i]
@@ -194,7 +195,7 @@ def _transit_back(t, grad, m, wide):
                 grad[c + 6, i] = t[2] * p + t[6] * q + t[10] * r
 
 
-@nb.njit(inline="always")
+@inlined
 def _apply(table, at, state, out, m, wide):
     """out = the state after the layer; at holds each point's cell."""
     for i in range(m):
@@ -214,7 +215,7 @@ def _apply(table, at, state, out, m, wide):
                 out[c + 6, i] = state[c + 6, i]
 
 
-@nb.njit(inline="always")
+@inlined
 def _apply_back(table, at, grad, m, wide):
     for i in range(m):
         a = at[i] * np.int32(6)
@@ -229,7 +230,7 @@ def _apply_back(table, at, grad, m, wide):
                 grad[c + 3, i] = a01 * p + a11 * q
 
 
-@nb.njit(inline="always")
+@inlined
 def _collect_cells(state, grad, at, into, m, wide):
     """Scatter d L / d (a00, a01, a10, a11, d0, d1) of each point's cell."""
     for i in range(m):
@@ -251,7 +252,7 @@ def _collect_cells(state, grad, at, into, m, wide):
         into[a + 5] += q
 
 
-@nb.njit(inline="always")
+@inlined
 def _collect_transition(state, grad, into, m, wide):
     """Add d L / d (linear part, offset) of a transition whose input is the state."""
     for r in range(3):

@@ -14,11 +14,12 @@ other modules. After editing `predicates` or `pair_filter`, delete this folder's
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from implicit_warp.checking.pair_filter import CLEAR, pair_verdict
+from implicit_warp.jit import kernel, parallel_kernel
 
 LEAF = 4
 _CELLS = 2**21 - 1  # 21 bits a coordinate fill the 63 bits of a Morton code
@@ -32,7 +33,7 @@ def morton_order(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray
     return np.argsort(_morton_codes(low, high, origin, scale), kind="stable")
 
 
-@numba.njit(cache=True)
+@kernel
 def face_boxes(vertices, faces):
     """Lower and upper corners, each `(F, 3)`, of the faces' axis-aligned boxes."""
     low = np.empty((len(faces), 3))
@@ -47,7 +48,7 @@ def face_boxes(vertices, faces):
     return low, high
 
 
-@numba.njit(cache=True)
+@kernel
 def _spread(x):
     """Insert two zero bits after each of 21 bits."""
     x = (x | (x << 32)) & 0x1F00000000FFFF
@@ -58,7 +59,7 @@ def _spread(x):
     return x
 
 
-@numba.njit(cache=True)
+@kernel
 def _morton_codes(low, high, origin, scale):
     codes = np.empty(len(low), np.int64)
     for f in range(len(low)):
@@ -71,7 +72,7 @@ def _morton_codes(low, high, origin, scale):
     return codes
 
 
-@numba.njit(cache=True)
+@kernel
 def build_tree(low, high):
     """Node boxes `(2 m, 6)`, lower then upper corner, of sorted face boxes; m leaves."""
     n = len(low)
@@ -93,7 +94,7 @@ def build_tree(low, high):
     return nodes
 
 
-@numba.njit(cache=True)
+@kernel
 def _boxes_apart(low, high, f, g):
     return (
         low[f, 0] > high[g, 0]
@@ -105,7 +106,7 @@ def _boxes_apart(low, high, f, g):
     )
 
 
-@numba.njit(cache=True)
+@kernel
 def _nodes_apart(nodes, m, n):
     return (
         nodes[m, 0] > nodes[n, 3]
@@ -117,7 +118,7 @@ def _nodes_apart(nodes, m, n):
     )
 
 
-@numba.njit(cache=True, parallel=True)
+@parallel_kernel
 def scan_pairs(vertices, faces, low, high, nodes, offsets, pairs, verdicts, limit):
     """Judge all overlapping pairs and record those that are not certainly clear.
 
@@ -133,7 +134,7 @@ def scan_pairs(vertices, faces, low, high, nodes, offsets, pairs, verdicts, limi
     chunks = len(offsets) - 1
     found = np.zeros(chunks, np.int64)
     judged = np.zeros(chunks, np.int64)
-    for chunk in numba.prange(chunks):
+    for chunk in prange(chunks):
         stack = np.empty(64, np.int64)
         count = 0
         tests = 0

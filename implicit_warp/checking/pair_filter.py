@@ -11,9 +11,8 @@ triple, so such a pair is either separated by something certain or left unsure.
 
 from __future__ import annotations
 
-import numba
-
 from implicit_warp.checking.predicates import orient2d, orient3d, side_of_plane
+from implicit_warp.jit import kernel
 
 CLEAR = 0
 CROSSING = 1
@@ -21,7 +20,7 @@ UNSURE_PAIR = 2
 DUPLICATE = 3
 
 
-@numba.njit(cache=True)
+@kernel
 def pair_verdict(v, faces, f, g):
     """Verdict on faces f and g; `v` are unit-scaled vertices, `faces` is `(F, 3)`."""
     a0, a1, a2 = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -62,7 +61,7 @@ def pair_verdict(v, faces, f, g):
     return _common_edge(v, q, r, p, opposite)
 
 
-@numba.njit(cache=True)
+@kernel
 def _common_edge(v, p, q, c, d):
     """Faces pqc and pqd: they intersect only when folded flat onto each other."""
     if orient3d(v, p, q, c, d) != 0:
@@ -75,7 +74,7 @@ def _common_edge(v, p, q, c, d):
     return UNSURE_PAIR
 
 
-@numba.njit(cache=True)
+@kernel
 def _common_vertex(v, p, b, c, e, f):
     """Faces pbc and pef, which share the vertex p only."""
     if _bisector_separates(v, p, b, c, e, f):
@@ -93,7 +92,7 @@ def _common_vertex(v, p, b, c, e, f):
     return UNSURE_PAIR
 
 
-@numba.njit(cache=True)
+@kernel
 def _bisector_separates(v, p, b, c, e, f):
     """Whether the plane through p across the two faces' mean directions separates them."""
     n0 = n1 = n2 = 0.0
@@ -116,7 +115,7 @@ def _bisector_separates(v, p, b, c, e, f):
     )
 
 
-@numba.njit(cache=True)
+@kernel
 def _edge_separates_at(v, p, b, c, e, f):
     """Whether in some projection the line of edge pb or pc keeps e and f off the face pbc."""
     for i in range(3):
@@ -131,7 +130,7 @@ def _edge_separates_at(v, p, b, c, e, f):
     return False
 
 
-@numba.njit(cache=True)
+@kernel
 def _apart(v, a0, a1, a2, b0, b1, b2):
     """Faces without a common vertex."""
     side = orient3d(v, a0, a1, a2, b0)
@@ -156,7 +155,7 @@ def _apart(v, a0, a1, a2, b0, b1, b2):
     return UNSURE_PAIR if unsure else CLEAR
 
 
-@numba.njit(cache=True)
+@kernel
 def _edges_separate(v, a0, a1, a2, b0, b1, b2):
     """Whether in some projection an edge line of the first face separates the second."""
     for i in range(3):
@@ -174,7 +173,7 @@ def _edges_separate(v, a0, a1, a2, b0, b1, b2):
     return False
 
 
-@numba.njit(cache=True)
+@kernel
 def _segment_triangle(v, p, q, a, b, c):
     """Closed segment pq against closed triangle abc: CLEAR, CROSSING (its inside) or unsure."""
     side_p = orient3d(v, a, b, c, p)

@@ -20,9 +20,10 @@ Non-guarantee: exact zeros are not recognised; they are unsure like all near-zer
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from implicit_warp.jit import kernel
 
 UNIT_ROUNDOFF = 2.0**-53
 UNDERFLOW = 2.0**-1000
@@ -47,7 +48,7 @@ def unit_scaled(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     return np.ldexp(points, -exponent), exponent
 
 
-@numba.njit(cache=True)
+@kernel
 def orient3d(v, a, b, c, d):
     """Certain sign of det[a - d, b - d, c - d], or 0 when unsure.
 
@@ -83,7 +84,7 @@ def orient3d(v, a, b, c, d):
     return UNSURE
 
 
-@numba.njit(cache=True)
+@kernel
 def orient2d(v, a, b, c, i, j):
     """Certain sign of the turn a -> b -> c projected onto coordinates (i, j), or 0."""
     left = (v[a, i] - v[c, i]) * (v[b, j] - v[c, j])
@@ -97,7 +98,7 @@ def orient2d(v, a, b, c, i, j):
     return UNSURE
 
 
-@numba.njit(cache=True)
+@kernel
 def side_of_plane(v, p, n0, n1, n2, x):
     """Certain sign of n . (x - p) for any float normal with |n_k| <= 2^5, or 0.
 

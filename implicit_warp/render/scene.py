@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from implicit_warp.errors import MissingDependency
+from fields.mesh import import_open3d
 from implicit_warp.render.surface import Array, Paint, corner_normals
 
 
@@ -56,7 +54,8 @@ class Scene:
         size: float,
         crease_angle: float,
     ) -> None:
-        self._core, geometry = _open3d()
+        open3d = import_open3d("drawing a picture")
+        self._core, geometry = open3d.core, open3d.t.geometry
         unit = (vertices - center) / size
         self.vertices = unit.astype(np.float32)
         self.paint = paint
@@ -101,15 +100,3 @@ class Scene:
         rays[..., :3] = origins
         rays[..., 3:] = directions
         return self._core.Tensor(rays)
-
-
-def _open3d() -> tuple[ModuleType, ModuleType]:
-    try:
-        return import_module("open3d.core"), import_module("open3d.t.geometry")
-    except (ImportError, OSError) as error:
-        raise MissingDependency(
-            "open3d",
-            "drawing a picture",
-            "Install it with `pip install open3d`; on Debian it also needs the packages "
-            f"libusb-1.0-0 libegl1 libgl1 (the import said: {error})",
-        ) from error

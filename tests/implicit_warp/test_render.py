@@ -322,7 +322,7 @@ def test_what_cannot_be_saved_is_refused_by_name(tmp_path, name, image, argument
 
 
 def test_without_open3d_the_error_names_it_and_the_system_packages(monkeypatch):
-    monkeypatch.setitem(sys.modules, "open3d.core", None)
+    monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(MissingDependency, match=r"pip install open3d.*libusb-1\.0-0"):
         render(BOX, size=SIZE)
 
