@@ -14,6 +14,8 @@ dL/dw_ij = mu_i . (u_j - u_i) / sum_j w_ij and dL/db = dL/du_b + (P^T mu)_b.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import torch
 from numba import prange
@@ -59,6 +61,7 @@ class _BandedSolve(torch.autograd.Function):
         return torch.from_numpy(grad_w), torch.from_numpy(mu[:, mesh.boundary]), None
 
 
+@lru_cache(maxsize=64)
 def _band_position(mesh: SquareMesh) -> np.ndarray:
     """(V,) index of each inner grid vertex among the unknowns, -1 for all others."""
     position = np.full(len(mesh.vertices), -1, dtype=np.int64)
@@ -112,14 +115,15 @@ def _factor(w, corners, neighbours, inner, position, n):
         for i in range(n_inner):
             pivot = 1.0 / m[i, half]
             m[i, half] = pivot
-            for r in range(i + 1, min(i + half + 1, n_inner)):
-                factor = m[r, i - r + half]
-                if factor != 0.0:
-                    factor *= pivot
-                    m[r, i - r + half] = factor
-                    shift = i - r
-                    for d in range(half + 1, 2 * half + 1):
-                        m[r, d + shift] -= factor * m[i, d]
+            # Slices, so that the inner loop runs from zero over contiguous numbers: with computed
+            # indices it was measured not to vectorise.
+            row = m[i, half + 1 :]
+            for below in range(1, min(half + 1, n_inner - i)):
+                factor = m[i + below, half - below] * pivot
+                m[i + below, half - below] = factor
+                target = m[i + below, half + 1 - below : 2 * half + 1 - below]
+                for d in range(half):
+                    target[d] -= factor * row[d]
     return normalised, totals, factors
 
 

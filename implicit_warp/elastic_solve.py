@@ -270,7 +270,7 @@ class _Solver:
     def run(self, update, callback) -> Warp:
         """The loop; returns the best state found."""
         options = self.options
-        optimiser = torch.optim.Adam(self.net.parameters(), lr=options.learning_rate)
+        optimiser = torch.optim.Adam(self.net.parameters(), lr=options.learning_rate, fused=True)
         schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, self._rate)
         best_loss, best_state = math.inf, None
         history: list[tuple[int, float]] = []

@@ -31,7 +31,8 @@ def make_frames(frames: str | Sequence | np.ndarray | Tensor, layers: int) -> Te
             )
         cycle = _cubic() if frames == "cubic" else _triplane()
     else:
-        cycle = torch.as_tensor(np.asarray(frames, dtype=np.float64)).clone()
+        given = frames.detach().cpu() if isinstance(frames, Tensor) else frames
+        cycle = torch.as_tensor(np.asarray(given, dtype=np.float64)).clone()
         if cycle.ndim != 3 or cycle.shape[1:] != (3, 3) or not len(cycle):
             raise InputError(
                 "frames", tuple(cycle.shape), "not a list of 3x3 matrices", "pass (K, 3, 3)"

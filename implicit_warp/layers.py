@@ -47,6 +47,10 @@ class LayerStack:
         """Does any gradient flow to the layers?"""
         return self.embeddings.requires_grad or self.transitions.requires_grad
 
+    def to(self, device: torch.device) -> LayerStack:
+        """The same layers on another device; gradients flow back."""
+        return LayerStack(self.mesh, self.embeddings.to(device), self.transitions.to(device))
+
     @cached_property
     def tables(self) -> Tensor:
         """(K, C, 6) rest -> image, one affine map a cell."""

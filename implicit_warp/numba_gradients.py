@@ -25,6 +25,8 @@ from torch import Tensor
 from implicit_warp import numba_backend
 from implicit_warp.jit import inlined, point_kernel
 from implicit_warp.layers import LayerStack
+from implicit_warp.numba_backend import apply_cells
+from implicit_warp.numba_tables import tabulate
 
 _PARTS = 4
 _BLOCK = 128
@@ -33,21 +35,27 @@ _BLOCK = 128
 
 def forward(stack: LayerStack, points: Tensor, jacobian: bool) -> tuple[Tensor, Tensor | None]:
     """f(points) for points (n, 3), and the Jacobians (n, 3, 3) if asked for; differentiable."""
-    return _run(stack, points, jacobian, stack.tables, stack.transitions, inverse=False)
+    if not _needs_gradients(stack, points):
+        return numba_backend.traverse(stack, points, jacobian)
+    tables = tabulate(stack.embeddings, stack.mesh, points.dtype)
+    return _run(stack, points, jacobian, tables, stack.transitions, inverse=False)
 
 
 def inverse(stack: LayerStack, points: Tensor, jacobian: bool) -> tuple[Tensor, Tensor | None]:
     """f^-1(points) and the Jacobians of f^-1 if asked for; differentiable."""
-    tables = stack.inverse_tables.flip(0)
+    if not _needs_gradients(stack, points):
+        return numba_backend.traverse_inverse(stack, points, jacobian)
+    tables = stack.inverse_tables.flip(0).to(points.dtype)
     return _run(stack, points, jacobian, tables, stack.inverse_transitions, inverse=True)
 
 
+def _needs_gradients(stack: LayerStack, points: Tensor) -> bool:
+    return torch.is_grad_enabled() and (points.requires_grad or stack.requires_grad)
+
+
 def _run(stack, points, jacobian, tables, transitions, *, inverse):
-    if not (torch.is_grad_enabled() and (points.requires_grad or stack.requires_grad)):
-        run = numba_backend.traverse_inverse if inverse else numba_backend.traverse
-        return run(stack, points, jacobian)
     image, jacobians = _Traverse.apply(
-        points, tables.to(points.dtype), transitions.to(points.dtype), stack, jacobian, inverse
+        points, tables, transitions.to(points.dtype), stack, jacobian, inverse
     )
     return image, jacobians if jacobian else None
 
@@ -56,8 +64,13 @@ class _Traverse(torch.autograd.Function):
     @staticmethod
     def forward(ctx, points, tables, transitions, stack, jacobian, inverse):
         found = np.empty((len(tables), len(points)), dtype=np.int32)
-        run = numba_backend.traverse_inverse if inverse else numba_backend.traverse
-        image, jacobians = run(stack, points, jacobian, found)
+        location = (
+            numba_backend.compiled_location(stack, points.dtype)
+            if inverse
+            else numba_backend.nowhere(points.dtype)
+        )
+        arrays = numba_backend.as_tables(tables, transitions)
+        image, jacobians = numba_backend.run(points, arrays, location, stack.mesh, jacobian, found)
         ctx.found, ctx.with_jacobian = found, jacobian
         ctx.save_for_backward(points, tables, transitions)
         if jacobians is None:
@@ -73,6 +86,7 @@ class _Traverse(torch.autograd.Function):
         def array(tensor: Tensor) -> np.ndarray:
             return np.ascontiguousarray(tensor.detach().numpy())
 
+        arrays = numba_backend.as_tables(tables, transitions)
         x = array(points)
         grad_points = np.empty_like(x)
         kind = x.dtype
@@ -82,7 +96,7 @@ class _Traverse(torch.autograd.Function):
             array(grad_jacobians).reshape(-1, 9) if ctx.with_jacobian else np.empty((0, 9), kind)
         )
         _backward(
-            x, ctx.found, array(tables.flatten(1)), array(transitions.flatten(1)),
+            x, ctx.found, *arrays,
             array(grad_image), jacobian_part, ctx.needs_input_grad[2],
             grad_points, grad_cells, grad_transitions,
         )  # fmt: skip
@@ -102,31 +116,25 @@ def _backward(
     grad_points, grad_cells, grad_transitions,
 ):  # fmt: skip
     kind = points.dtype.type
-    zero, one = kind(0.0), kind(1.0)
     n_layers, n = found.shape
     # The state of a point: three coordinates, and nine Jacobian entries if they are asked for.
     wide = len(grad_jacobians) > 0
     rows = 12 if wide else 3
     blocks = (n + _BLOCK - 1) // _BLOCK
     for part in prange(_PARTS):
-        history = np.empty((n_layers, rows, _BLOCK), points.dtype)
-        state = np.empty((rows, _BLOCK), points.dtype)
-        grad = np.empty((rows, _BLOCK), points.dtype)
+        history = np.empty((n_layers, rows, _BLOCK), kind)
+        linear = np.empty((n_layers, 4, _BLOCK), kind)
+        state, grad = np.empty((rows, _BLOCK), kind), np.empty((rows, _BLOCK), kind)
+        share = np.empty((4, _BLOCK), kind)
         into_cells, into_transitions = grad_cells[part], grad_transitions[part]
         for b in range(part * blocks // _PARTS, (part + 1) * blocks // _PARTS):
             start = b * _BLOCK
             m = min(_BLOCK, n - start)
-            for i in range(m):
-                for c in range(3):
-                    state[c, i] = points[start + i, c]
-            if wide:
-                for c in range(9):
-                    value = one if c % 4 == 0 else zero
-                    for i in range(m):
-                        state[3 + c, i] = value
+            _begin(points, start, state, m, wide)
             for k in range(n_layers):
                 _transit(transitions[k], state, history[k], m, wide)
-                _apply(cells[k], found[k, start : start + m], history[k], state, m, wide)
+                at = found[k, start : start + m]
+                _apply(cells[k], at, history[k], linear[k], state, m, wide)
 
             for i in range(m):
                 for c in range(3):
@@ -137,29 +145,35 @@ def _backward(
                         grad[3 + c, i] = grad_jacobians[start + i, c]
             for back in range(n_layers):
                 k = n_layers - 1 - back
+                at = found[k, start : start + m]
                 if with_transitions:
                     # The state after layer k is not kept: one cheap application restores it.
-                    at = found[k, start : start + m]
-                    _apply(cells[k], at, history[k], state, m, wide)
+                    _apply(cells[k], at, history[k], linear[k], state, m, wide)
                     _collect_transition(state, grad, into_transitions[k + 1], m, wide)
                 _transit_back(transitions[k + 1], grad, m, wide)
-                at = found[k, start : start + m]
-                _collect_cells(history[k], grad, at, into_cells[k], m, wide)
-                _apply_back(cells[k], at, grad, m, wide)
+                _collect_cells(history[k], grad, at, share, into_cells[k], m, wide)
+                _apply_back(linear[k], grad, m, wide)
             if with_transitions:
-                for i in range(m):
-                    for c in range(3):
-                        state[c, i] = points[start + i, c]
-                if wide:
-                    for c in range(9):
-                        value = one if c % 4 == 0 else zero
-                        for i in range(m):
-                            state[3 + c, i] = value
+                _begin(points, start, state, m, wide)
                 _collect_transition(state, grad, into_transitions[0], m, wide)
             _transit_back(transitions[0], grad, m, wide)
             for i in range(m):
                 for c in range(3):
                     grad_points[start + i, c] = grad[c, i]
+
+
+@inlined
+def _begin(points, start, state, m, wide):
+    """The state before all layers: the point, and the identity as its Jacobian."""
+    kind = points.dtype.type
+    for i in range(m):
+        for c in range(3):
+            state[c, i] = points[start + i, c]
+    if wide:
+        for c in range(9):
+            value = kind(1.0) if c % 4 == 0 else kind(0.0)
+            for i in range(m):
+                state[3 + c, i] = value
 
 
 @inlined
@@ -181,75 +195,72 @@ def _transit(t, state, out, m, wide):
 
 @inlined
 def _transit_back(t, grad, m, wide):
-    for i in range(m):
-        p, q, r = grad[0, i], grad[1, i], grad[2, i]
-        grad[0, i] = t[0] * p + t[4] * q + t[8] * r
-        grad[1, i] = t[1] * p + t[5] * q + t[9] * r
-        grad[2, i] = t[2] * p + t[6] * q + t[10] * r
-    if wide:
-        for c in range(3, 6):
-            for i in range(m):
-                p, q, r = grad[c, i], grad[c + 3, i], grad[c + 6, i]
-                grad[c, i] = t[0] * p + t[4] * q + t[8] * r
-                grad[c + 3, i] = t[1] * p + t[5] * q + t[9] * r
-                grad[c + 6, i] = t[2] * p + t[6] * q + t[10] * r
+    """Pull the gradient back through a transition, in place."""
+    for c in range(0, 6 if wide else 1):
+        if c == 1 or c == 2:
+            continue
+        # The point's rows are consecutive, those of a Jacobian column three apart.
+        step = 1 if c == 0 else 3
+        for i in range(m):
+            p, q, r = grad[c, i], grad[c + step, i], grad[c + 2 * step, i]
+            grad[c, i] = t[0] * p + t[4] * q + t[8] * r
+            grad[c + step, i] = t[1] * p + t[5] * q + t[9] * r
+            grad[c + 2 * step, i] = t[2] * p + t[6] * q + t[10] * r
 
 
 @inlined
-def _apply(table, at, state, out, m, wide):
-    """out = the state after the layer; at holds each point's cell."""
+def _apply(table, at, state, linear, out, m, wide):
+    """out = the state after the layer; at holds each point's cell, whose 2x2 part is kept."""
+    apply_cells(table, at, state[0], state[1], out[0], out[1], linear, m, True)
     for i in range(m):
-        a = at[i] * np.int32(6)
-        p, q = state[0, i], state[1, i]
-        out[0, i] = table[a] * p + table[a + 1] * q + table[a + 4]
-        out[1, i] = table[a + 2] * p + table[a + 3] * q + table[a + 5]
         out[2, i] = state[2, i]
     if wide:
-        for i in range(m):
-            a = at[i] * np.int32(6)
-            a00, a01, a10, a11 = table[a], table[a + 1], table[a + 2], table[a + 3]
-            for c in range(3, 6):
+        for c in range(3, 6):
+            for i in range(m):
                 p, q = state[c, i], state[c + 3, i]
-                out[c, i] = a00 * p + a01 * q
-                out[c + 3, i] = a10 * p + a11 * q
+                out[c, i] = linear[0, i] * p + linear[1, i] * q
+                out[c + 3, i] = linear[2, i] * p + linear[3, i] * q
                 out[c + 6, i] = state[c + 6, i]
 
 
 @inlined
-def _apply_back(table, at, grad, m, wide):
-    for i in range(m):
-        a = at[i] * np.int32(6)
-        a00, a01, a10, a11 = table[a], table[a + 1], table[a + 2], table[a + 3]
-        p, q = grad[0, i], grad[1, i]
-        grad[0, i] = a00 * p + a10 * q
-        grad[1, i] = a01 * p + a11 * q
-        if wide:
-            for c in range(3, 6):
-                p, q = grad[c, i], grad[c + 3, i]
-                grad[c, i] = a00 * p + a10 * q
-                grad[c + 3, i] = a01 * p + a11 * q
+def _apply_back(linear, grad, m, wide):
+    """Pull the gradient back through each point's plane map, in place."""
+    for c in range(0, 6 if wide else 1):
+        if c == 1 or c == 2:
+            continue
+        step = 1 if c == 0 else 3
+        for i in range(m):
+            p, q = grad[c, i], grad[c + step, i]
+            grad[c, i] = linear[0, i] * p + linear[2, i] * q
+            grad[c + step, i] = linear[1, i] * p + linear[3, i] * q
 
 
 @inlined
-def _collect_cells(state, grad, at, into, m, wide):
-    """Scatter d L / d (a00, a01, a10, a11, d0, d1) of each point's cell."""
+def _collect_cells(state, grad, at, share, into, m, wide):
+    """Add each point's d L / d (a00, a01, a10, a11, d0, d1) to its cell."""
     for i in range(m):
         x, y, p, q = state[0, i], state[1, i], grad[0, i], grad[1, i]
-        g00, g01, g10, g11 = p * x, p * y, q * x, q * y
-        if wide:
-            for c in range(3, 6):
-                u, v, r, s = state[c, i], state[c + 3, i], grad[c, i], grad[c + 3, i]
-                g00 += r * u
-                g01 += r * v
-                g10 += s * u
-                g11 += s * v
+        share[0, i] = p * x
+        share[1, i] = p * y
+        share[2, i] = q * x
+        share[3, i] = q * y
+    if wide:
+        for c in range(3, 6):
+            for i in range(m):
+                x, y, p, q = state[c, i], state[c + 3, i], grad[c, i], grad[c + 3, i]
+                share[0, i] += p * x
+                share[1, i] += p * y
+                share[2, i] += q * x
+                share[3, i] += q * y
+    for i in range(m):
         a = at[i] * np.int32(6)
-        into[a] += g00
-        into[a + 1] += g01
-        into[a + 2] += g10
-        into[a + 3] += g11
-        into[a + 4] += p
-        into[a + 5] += q
+        into[a] += share[0, i]
+        into[a + 1] += share[1, i]
+        into[a + 2] += share[2, i]
+        into[a + 3] += share[3, i]
+        into[a + 4] += grad[0, i]
+        into[a + 5] += grad[1, i]
 
 
 @inlined

@@ -25,7 +25,8 @@ class Warp(Map):
     as ``after . layers . before``.
 
     Args:
-        embeddings: (K, V, 2) image vertices of each layer's square mesh, V = N^2 + (N-1)^2.
+        embeddings: (K, V, 2) image vertices of each layer's square mesh, V = N^2 + (N-1)^2; all
+            else is brought to their device.
         frames: (K, 3, 3) rotations, columns: plane axes and normal.
         before, after: (3, 4) affine maps with positive determinant; the identity by default.
         report: how a solve arrived at this map, if one did.
@@ -47,10 +48,11 @@ class Warp(Map):
         report: SolveReport | None = None,
     ) -> None:
         self.embeddings = _frozen("embeddings", embeddings, (None, None, 2))
-        self.frames = _frozen("frames", frames, (len(self.embeddings), 3, 3))
+        device = self.embeddings.device
+        self.frames = _frozen("frames", frames, (len(self.embeddings), 3, 3)).to(device)
         unit = torch.eye(3, 4, dtype=torch.float64)
-        self.before = _frozen("before", unit if before is None else before, (3, 4))
-        self.after = _frozen("after", unit if after is None else after, (3, 4))
+        self.before = _frozen("before", unit if before is None else before, (3, 4)).to(device)
+        self.after = _frozen("after", unit if after is None else after, (3, 4)).to(device)
         self.report = report
         for name in ("before", "after"):
             determinant = float(torch.linalg.det(getattr(self, name)[:, :3]))

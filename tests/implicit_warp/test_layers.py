@@ -92,7 +92,7 @@ def test_location_in_the_image_equals_exhaustive_search(resolution, spread, seed
     # Exactly on image vertices and edges, one unit in the last place beside them, and anywhere.
     y = net(torch.cat([rest, inside]))
     y = torch.cat([y, torch.nextafter(y, y + 1.0), torch.nextafter(y, y - 1.0)])
-    fast, _ = numba_backend.traverse_inverse(stack, y, jacobian=False)
+    fast, _ = numba_backend.traverse_inverse(stack, y, False)
     slow, _ = torch_backend.inverse(stack, y, jacobian=False)
     size = 1.0 + y.norm(dim=1)
     tolerance = 1e-14 * size * _largest_stretch(net, inverse=True) ** 2
