@@ -7,11 +7,16 @@ disk).
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
+
+# OpenMP reads this when torch loads it.  By default waiting threads spin; torch and Numba each have
+# their own, and on a busy machine they were seen to slow each other thirtyfold.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import tyro
 from tyro.conf import Positional, arg
@@ -263,7 +268,46 @@ class Info(_Common):
         return GOOD
 
 
-COMMANDS = {"deform": Deform, "extract": Extract, "apply": Apply, "check": Check, "info": Info}
+@dataclass(frozen=True, kw_only=True)
+class Bench(_Common):
+    """Measure the speed goals, each beside the torch reference in the same run.
+
+    Takes two to three minutes on two idle cores. Ratios count: absolute figures depend on the
+    machine and its load, which is printed.
+
+    Example: implicit-warp bench --json > bench.json
+    """
+
+    json: bool = False
+    """Print JSON instead of a table."""
+    device: str = "cpu"
+    """cpu, or a CUDA device of torch."""
+    quick: bool = False
+    """Smaller calls and fewer rounds: under half a minute, and noisier."""
+    memory_points: int = 10_000_000
+    """Points of the call whose memory is measured; 10^8 need 2.4 GB for input and output."""
+
+    def run(self) -> int:
+        """Carry out the command; returns the exit code."""
+        from implicit_warp.benchmark import Settings, run_benchmark
+        from implicit_warp.progress import progress_bar
+
+        make = Settings.quick if self.quick else Settings
+        settings = make(device=self.device, memory_points=self.memory_points)
+        with progress_bar("bench") as update:
+            report = run_benchmark(settings, update)
+        _say(json.dumps(report.to_dict(), indent=2) if self.json else report.table())
+        return GOOD
+
+
+COMMANDS = {
+    "deform": Deform,
+    "extract": Extract,
+    "apply": Apply,
+    "check": Check,
+    "info": Info,
+    "bench": Bench,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -271,7 +315,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="implicit-warp",
-        description="Injective 3D warps of implicit fields: deform, extract, check.",
+        description="Injective 3D warps of implicit fields: deform, extract, check, measure.",
         args=arguments,
     )
     try:

@@ -80,7 +80,7 @@ def _image_bounds(field: Field, map_: Map) -> np.ndarray:
     """A box around the image of the field's inside.
 
     Every point inside lies within half a lattice diagonal of a sample that is kept, and its image
-    within that times the local stretch, taken as the largest found at any kept sample.
+    within that times the local stretch, taken as the largest norm of J at any kept sample.
     """
     low, high = torch.tensor(field.bounds)
     step = (high - low) / (_LATTICE - 1)
@@ -92,5 +92,6 @@ def _image_bounds(field: Field, map_: Map) -> np.ndarray:
     if not len(lattice):
         return map_(torch.stack([low, high])).numpy()
     images, jacobians = map_.call_and_jacobian(lattice)
-    margin = reach * float(torch.linalg.matrix_norm(jacobians, 2).max())
+    # The Frobenius norm bounds the spectral norm, and needs no decomposition.
+    margin = reach * float(torch.linalg.matrix_norm(jacobians).max())
     return torch.stack([images.amin(0) - margin, images.amax(0) + margin]).numpy()

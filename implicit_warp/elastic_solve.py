@@ -38,7 +38,7 @@ from implicit_warp import evaluate
 from implicit_warp.energy import elastic_energy, layer_energy
 from implicit_warp.errors import InputError
 from implicit_warp.handles import Handle
-from implicit_warp.layers import compose_affine, invert_affine
+from implicit_warp.layers import compose_affine, determinant_3x3, invert_affine
 from implicit_warp.progress import progress_bar
 from implicit_warp.sampling import Samples, sample_shape
 from implicit_warp.threads import single_thread
@@ -355,7 +355,7 @@ class _Solver:
         image, handle_jacobian = evaluate.forward_and_jacobian(stack, self.sources)
         energy = elastic_energy(jacobian)
         terms = self._terms(energy.mean(), image, handle_jacobian, layer_energy(stack))
-        return terms, energy, torch.linalg.det(jacobian), image
+        return terms, energy, determinant_3x3(jacobian), image
 
     def _review(self) -> float:
         terms, energy, _, _ = self._measure()

@@ -10,12 +10,14 @@ weights every piecewise-linear embedding of the mesh into that polygon is reache
 edge of the square mesh joins two boundary vertices of one side, so corners may well lie on a
 common line.
 
-Two solvers, one meaning:
+Three solvers, one meaning:
 
 * `solve_dense`: plain torch, any device, differentiable to any order.  The reference.
 * `solve_banded`: eliminates the cell centres (each sees only its four corners), which leaves
   (N-2)^2 unknowns with a nine-point stencil, and factors that M-matrix in banded form; the
   backward pass is one transposed solve with the same factors.  CPU, float64, first order.
+* `solve_schur`: the same elimination in torch, and a batched dense solve of what is left; for
+  accelerators.
 
 Guarantee: with exact arithmetic the result is injective for any parameters.  Non-guarantee:
 float64 rounding can spoil areas near 1e-16; `Warp` re-checks what it stores.
@@ -78,14 +80,11 @@ def embed(weights: Tensor, boundary: Tensor, mesh: SquareMesh) -> Tensor:
         from implicit_warp.banded import solve_banded
 
         return solve_banded(weights, boundary, mesh)
-    return solve_dense(weights, boundary, mesh)
+    return solve_schur(weights, boundary, mesh)
 
 
 def solve_dense(weights: Tensor, boundary: Tensor, mesh: SquareMesh) -> Tensor:
-    """The embedding by one dense linear solve a layer. Shapes as in `embed`.
-
-    On the CPU the layers are solved one by one: batched dense LU there was measured to hang.
-    """
+    """The embedding by one dense linear solve a layer. Shapes as in `embed`."""
     count, vertices = weights.shape[0], len(mesh.vertices)
     device = weights.device
     source, target = mesh_tensor(mesh, "edges", torch.int64, device).T
@@ -98,9 +97,48 @@ def solve_dense(weights: Tensor, boundary: Tensor, mesh: SquareMesh) -> Tensor:
     interior = is_interior.nonzero().squeeze(-1)
     matrix = laplacian[:, interior[:, None], interior]
     right = -laplacian[:, interior[:, None], border] @ boundary
-    if device.type == "cpu":
-        inner = torch.stack([torch.linalg.solve(m, r) for m, r in zip(matrix, right, strict=True)])
-    else:
-        inner = torch.linalg.solve(matrix, right)
+    inner = _solve_each(matrix, right)
     order = torch.argsort(torch.cat([interior, border]))
     return torch.cat([inner, boundary], 1)[:, order]
+
+
+def solve_schur(weights: Tensor, boundary: Tensor, mesh: SquareMesh) -> Tensor:
+    """The embedding with the centres eliminated first; differentiable. Shapes as in `embed`.
+
+    Half the unknowns of `solve_dense`, hence a quarter of its memory and an eighth of its work.
+    """
+    device, n = weights.device, mesh.resolution
+    inner, border, corners, neighbours = (
+        mesh_tensor(mesh, name, torch.int64, device)
+        for name in ("inner", "boundary", "centre_corners", "inner_neighbours")
+    )
+    layers, unknowns = len(weights), len(inner)
+    of_centres, of_inner = weights.split([4 * len(corners), 8 * unknowns], 1)
+    of_centres = of_centres.unflatten(1, (-1, 4))
+    of_centres = of_centres / of_centres.sum(-1, keepdim=True)
+    of_inner = of_inner.unflatten(1, (-1, 8))
+    of_inner = of_inner / of_inner.sum(-1, keepdim=True)
+
+    # Row g: the share of every grid vertex in g, directly and through g's four centres.
+    centres = neighbours[:, 4:] - n * n
+    through = of_inner[..., 4:, None] * of_centres[:, centres]
+    columns = torch.cat([neighbours[:, :4], corners[centres].flatten(1)], 1)
+    flat = (columns + n * n * torch.arange(unknowns, device=device)[:, None]).flatten()
+    values = torch.cat([of_inner[..., :4], through.flatten(2)], 2).flatten(1)
+    shares = weights.new_zeros(layers, unknowns * n * n).index_add(1, flat, values)
+    shares = shares.unflatten(1, (unknowns, n * n))
+    matrix = torch.eye(unknowns, dtype=weights.dtype, device=device) - shares[..., inner]
+    on_grid = weights.new_zeros(layers, n * n, 2).index_copy(1, border, boundary)
+    if unknowns:
+        found = _solve_each(matrix, shares[..., border] @ boundary)
+        on_grid = on_grid.index_copy(1, inner, found)
+    at_centres = (of_centres[..., None] * on_grid[:, corners]).sum(-2)
+    return torch.cat([on_grid, at_centres], 1)
+
+
+def _solve_each(matrix: Tensor, right: Tensor) -> Tensor:
+    # On the CPU one by one: batched dense LU with several threads was seen to hang there.
+    if matrix.device.type == "cpu":
+        pairs = zip(matrix, right, strict=True)
+        return torch.stack([torch.linalg.solve(m, r) for m, r in pairs])
+    return torch.linalg.solve(matrix, right)

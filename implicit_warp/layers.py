@@ -13,7 +13,6 @@ likewise its inverse.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -54,14 +53,12 @@ class LayerStack:
     @cached_property
     def tables(self) -> Tensor:
         """(K, C, 6) rest -> image, one affine map a cell."""
-        rest, image = self._corners
-        return _cell_maps(rest, image)
+        return self._cell_maps(inverse=False)
 
     @cached_property
     def inverse_tables(self) -> Tensor:
         """(K, C, 6) image -> rest."""
-        rest, image = self._corners
-        return _cell_maps(image, rest)
+        return self._cell_maps(inverse=True)
 
     @cached_property
     def inverse_transitions(self) -> Tensor:
@@ -74,6 +71,12 @@ class LayerStack:
         _, image = self._corners
         first, second = image[..., 1, :] - image[..., 0, :], image[..., 2, :] - image[..., 0, :]
         return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+
+    def _cell_maps(self, inverse: bool) -> Tensor:
+        # What is cached must carry its gradients, also if it is first asked for without them.
+        with torch.set_grad_enabled(self.embeddings.requires_grad):
+            rest, image = self._corners
+            return _cell_maps(image, rest) if inverse else _cell_maps(rest, image)
 
     @property
     def _corners(self) -> tuple[Tensor, Tensor]:
@@ -113,19 +116,26 @@ def compose_affine(outer: Tensor, inner: Tensor) -> Tensor:
 
 def invert_affine(matrix: Tensor) -> Tensor:
     """The inverse of (a batch of) 3x4 affine maps."""
-    linear = torch.linalg.inv(matrix[..., :3])
+    linear = inverse_3x3(matrix[..., :3])
     return torch.cat([linear, -linear @ matrix[..., 3:]], -1)
 
 
-def concatenate(stacks: Sequence[LayerStack]) -> LayerStack:
-    """One stack that applies the given ones in order. All must share one resolution."""
-    transitions = [stacks[0].transitions]
-    for stack in stacks[1:]:
-        joint = compose_affine(stack.transitions[0], transitions[-1][-1])
-        transitions[-1] = transitions[-1][:-1]
-        transitions.append(torch.cat([joint[None], stack.transitions[1:]]))
-    embeddings = torch.cat([stack.embeddings for stack in stacks])
-    return LayerStack(stacks[0].mesh, embeddings, torch.cat(transitions))
+def inverse_3x3(matrix: Tensor) -> Tensor:
+    """The inverse of (a batch of) 3x3 matrices, by their cofactors; differentiable.
+
+    Not `torch.linalg.inv`: batched LU was seen to hang on the CPU, and is slow for small matrices.
+    """
+    rows = matrix.unbind(-2)
+    cofactors = torch.stack(
+        [torch.linalg.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)], -1
+    )
+    return cofactors / (rows[0] * cofactors[..., 0]).sum(-1)[..., None, None]
+
+
+def determinant_3x3(matrix: Tensor) -> Tensor:
+    """The determinants (...) of 3x3 matrices (..., 3, 3); differentiable."""
+    first, second, third = matrix.unbind(-2)
+    return (first * torch.linalg.cross(second, third)).sum(-1)
 
 
 def _cell_maps(source: Tensor, target: Tensor) -> Tensor:

@@ -30,7 +30,7 @@ from torch import Tensor
 
 from implicit_warp.jit import inlined, kernel, parallel_kernel, point_kernel
 from implicit_warp.layers import LayerStack
-from implicit_warp.square_mesh import SquareMesh
+from implicit_warp.square_mesh import SquareMesh, rest_forms
 
 BLOCK = 512
 """Points a block: twelve float32 arrays of this length fit the first-level cache."""
@@ -152,22 +152,6 @@ def _once(stack: LayerStack, key: tuple, make: Callable[[], Any]) -> Any:
     if key not in parts:
         parts[key] = make()
     return parts[key]
-
-
-@lru_cache(maxsize=64)
-def rest_forms(mesh: SquareMesh) -> np.ndarray:
-    """(C, 3, 3) barycentric coordinates of each rest cell as affine forms (x, y, 1).
-
-    A cone's coordinate at the origin changes sign, so that being inside any cell means that all
-    three are non-negative.
-    """
-    corners = np.concatenate([mesh.vertices, np.zeros((1, 2))])[mesh.cells]
-    homogeneous = np.concatenate([corners, np.ones((*corners.shape[:2], 1))], -1)
-    forms = np.linalg.inv(homogeneous).transpose(0, 2, 1)
-    forms[mesh.n_triangles :, 0] *= -1.0
-    forms = np.ascontiguousarray(forms)
-    forms.setflags(write=False)
-    return forms
 
 
 @inlined

@@ -13,8 +13,7 @@ from numba import prange
 from torch import Tensor
 
 from implicit_warp.jit import kernel, parallel_kernel
-from implicit_warp.numba_backend import rest_forms
-from implicit_warp.square_mesh import SquareMesh
+from implicit_warp.square_mesh import SquareMesh, rest_forms
 
 
 def tabulate(embeddings: Tensor, mesh: SquareMesh, dtype: torch.dtype) -> Tensor:

@@ -23,6 +23,7 @@ from implicit_warp.deformation import deform
 from implicit_warp.elastic_solve import ElasticOptions, elastic
 from implicit_warp.files import atomic_write, save
 from implicit_warp.handles import Handle
+from implicit_warp.layers import determinant_3x3
 from implicit_warp.mesh_files import write_mesh
 from implicit_warp.warp import Warp
 
@@ -152,7 +153,7 @@ def smallest_determinant(warp: Warp, bounds: np.ndarray, count: int = _DETERMINA
     for size in [1 << 17] * (count // (1 << 17)) + [count % (1 << 17)]:
         points = low + torch.rand(size, 3, generator=generator, dtype=torch.float64) * (high - low)
         if size:
-            smallest = min(smallest, float(torch.linalg.det(warp.jacobian(points)).min()))
+            smallest = min(smallest, float(determinant_3x3(warp.jacobian(points)).min()))
     return smallest
 
 

@@ -161,6 +161,22 @@ def mesh_tensor(mesh: SquareMesh, name: str, dtype: torch.dtype, device: torch.d
     return torch.tensor(getattr(mesh, name), dtype=dtype, device=device)
 
 
+@lru_cache(maxsize=64)
+def rest_forms(mesh: SquareMesh) -> np.ndarray:
+    """(C, 3, 3) barycentric coordinates of each rest cell as affine forms (x, y, 1).
+
+    A cone's coordinate at the origin changes sign, so that being inside any cell means that all
+    three are non-negative.
+    """
+    corners = np.concatenate([mesh.vertices, np.zeros((1, 2))])[mesh.cells]
+    homogeneous = np.concatenate([corners, np.ones((*corners.shape[:2], 1))], -1)
+    forms = np.linalg.inv(homogeneous).transpose(0, 2, 1)
+    forms[mesh.n_triangles :, 0] *= -1.0
+    forms = np.ascontiguousarray(forms)
+    forms.setflags(write=False)
+    return forms
+
+
 def _pairs(ticks: np.ndarray) -> np.ndarray:
     return np.stack(np.meshgrid(ticks, ticks, indexing="ij"), -1).reshape(-1, 2)
 

@@ -7,7 +7,12 @@ import pytest
 import torch
 
 from implicit_warp.banded import solve_banded
-from implicit_warp.embedding import boundary_positions, edge_weights, solve_dense
+from implicit_warp.embedding import (
+    boundary_positions,
+    edge_weights,
+    solve_dense,
+    solve_schur,
+)
 from implicit_warp.errors import InputError
 from implicit_warp.layers import LayerStack, fuse_frames
 from implicit_warp.square_mesh import square_mesh
@@ -65,14 +70,16 @@ def test_neighbours_share_the_edge_they_are_listed_across(resolution):
 
 @RESOLUTIONS
 @pytest.mark.parametrize("spread", [0.0, 1.0, 10.0])
-def test_banded_solve_equals_dense_solve(resolution, spread, seed):
+def test_all_solvers_agree(resolution, spread, seed):
     mesh = square_mesh(resolution)
     theta_w, theta_b = random_parameters(mesh, seed, spread)
     weights, boundary = edge_weights(theta_w), boundary_positions(theta_b, mesh)
-    banded, dense = (solve(weights, boundary, mesh) for solve in (solve_banded, solve_dense))
+    solvers = (solve_banded, solve_dense, solve_schur)
+    banded, dense, schur = (solve(weights, boundary, mesh) for solve in solvers)
     # The matrix is diagonally dominant with condition number O(N^2); positions are below 1.5.
     tolerance = 50.0 * resolution**2 * torch.finfo(torch.float64).eps
     assert (banded - dense).abs().max() < tolerance
+    assert (schur - dense).abs().max() < tolerance
     # And both solve the equations they are meant to.
     source, target = torch.tensor(mesh.edges.T)
     pull = weights[..., None] * (banded[:, target] - banded[:, source])
@@ -116,7 +123,7 @@ def test_every_boundary_increment_stays_below_half_a_turn(resolution):
 
 
 @pytest.mark.parametrize("resolution", [3, 5])
-@pytest.mark.parametrize("solve", [solve_banded, solve_dense])
+@pytest.mark.parametrize("solve", [solve_banded, solve_dense, solve_schur])
 def test_gradients_of_weights_and_boundary(resolution, solve, seed):
     mesh = square_mesh(resolution)
     theta = random_parameters(mesh, seed, 1.0, layers=2)

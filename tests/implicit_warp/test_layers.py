@@ -13,7 +13,8 @@ from implicit_warp.energy import elastic_energy, layer_energy
 from implicit_warp.errors import InputError, NotInjective
 from implicit_warp.evaluate import back_end
 from implicit_warp.frames import make_frames
-from implicit_warp.square_mesh import square_mesh
+from implicit_warp.layers import determinant_3x3, inverse_3x3
+from implicit_warp.square_mesh import rest_forms, square_mesh
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
 from tests.implicit_warp.registered_maps import random_net, random_warp
@@ -24,7 +25,7 @@ BACK_END = pytest.mark.parametrize("name", ["torch", "numba"])
 def coordinates_at_rest(mesh, xy: np.ndarray) -> np.ndarray:
     """(n, C, 3) coordinates of points in every rest cell, in the plainest way."""
     homogeneous = np.concatenate([xy, np.ones((len(xy), 1))], 1)
-    return np.einsum("cka,na->nck", numba_backend.rest_forms(mesh), homogeneous)
+    return np.einsum("cka,na->nck", rest_forms(mesh), homogeneous)
 
 
 def special_points(mesh) -> np.ndarray:
@@ -106,7 +107,7 @@ def test_walk_ends_in_the_right_cell_from_any_start(seed):
     table = stack.inverse_tables[0]
     xy = torch.tensor(special_points(mesh))[:200]
     image = net(torch.cat([xy, torch.zeros(len(xy), 1, dtype=torch.float64)], 1))[:, :2]
-    forms = numba_backend.rest_forms(mesh)
+    forms = rest_forms(mesh)
     flat, neighbours = table.flatten().numpy(), mesh.neighbours.astype(np.int32)
     for (x, y), start in itertools.product(image.numpy()[::7], range(0, mesh.n_cells, 11)):
         cell = numba_backend._walk(flat, forms.reshape(-1, 9), neighbours, x, y, start)
@@ -226,3 +227,72 @@ def test_fixed_boundary_keeps_the_outline_and_seeds_repeat():
     again, other = (TutteNet(2, 5, boundary="fixed", init="paper", seed=s) for s in (3, 4))
     assert torch.equal(net.theta_weights, again.theta_weights)
     assert not torch.equal(net.theta_weights, other.theta_weights)
+
+
+def test_small_matrices_are_inverted_exactly_enough(seed):
+    matrices = torch.randn(200, 3, 3, dtype=torch.float64)
+    product = inverse_3x3(matrices) @ matrices
+    condition = torch.linalg.cond(matrices)
+    error = (product - torch.eye(3, dtype=torch.float64)).abs().amax((-1, -2))
+    # Cofactors lose at most the square of the condition number.
+    assert (error < 1e-15 * condition**2).all()
+    torch.testing.assert_close(determinant_3x3(matrices), torch.linalg.det(matrices))
+
+
+def test_tables_made_without_gradients_still_carry_them(seed):
+    net = random_net(seed, layers=2, resolution=3)
+    stack = net.stack()
+    x = torch.rand(5, 3, dtype=torch.float64)
+    with torch.no_grad():
+        torch_backend.forward(stack, x, False)
+    image, _ = torch_backend.forward(stack, x, False)
+    assert torch.autograd.grad(image.sum(), net.theta_weights)[0].abs().max() > 0
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("layers", [1, 64])
+@pytest.mark.parametrize("resolution", [2, 3, 5, 64])
+def test_thin_cases_agree_between_back_ends(layers, resolution, seed):
+    warp = random_net(seed, layers=layers, resolution=resolution, spread=0.5).freeze()
+    generator = torch.Generator().manual_seed(seed)
+    x = (3.0 * torch.rand(60, 6, generator=generator, dtype=torch.float64) - 1.5)[:, ::2]
+    assert not x.is_contiguous()
+    for n in (0, 1, 7, 60):
+        results = []
+        for name in ("torch", "numba"):
+            with back_end(name):
+                results.append([*warp.call_and_jacobian(x[:n]), *warp.inv.call_and_jacobian(x[:n])])
+        for slow, fast in zip(*results, strict=True):
+            # Sixty-four random layers stretch by at most some thousands.
+            torch.testing.assert_close(fast, slow, rtol=1e-9, atol=1e-9)
+
+
+@torch.no_grad()
+def test_a_triangle_of_area_1e_10_is_no_trouble(seed):
+    net = random_net(seed, layers=1, resolution=5, spread=0.0, frames="triplane")
+    u = net.embeddings()
+    corner, side = net.mesh.triangles[20, 0], net.mesh.triangles[20, 1:].copy()
+    middle = u[0, side].mean(0)
+    u[0, corner] = middle + 1e-9 * (u[0, corner] - middle)
+    warp = Warp(u, net.frames())
+    assert 0 < warp.smallest_area < 2e-10
+    generator = torch.Generator().manual_seed(seed)
+    x = 2.0 * torch.rand(5000, 3, generator=generator, dtype=torch.float64) - 1.0
+    y = warp(x)
+    for name in ("torch", "numba"):
+        with back_end(name):
+            # The inverse stretches by 1e9 there, and rounding with it.
+            assert (warp.inv(y) - x).abs().max() < 1e9 * 1e-15
+            assert (warp(warp.inv(x)) - x).abs().max() < 1e-13
+
+
+@torch.no_grad()
+def test_results_are_identical_from_run_to_run_and_in_blocks(seed):
+    warp = random_warp(seed)
+    x = torch.rand(100_003, 3, dtype=torch.float32)
+    first = warp.inv.call_and_jacobian(x)
+    again = warp.inv.call_and_jacobian(x)
+    in_blocks = [warp.inv.call_and_jacobian(part) for part in x.split(1000)]
+    for i in range(2):
+        assert torch.equal(first[i], again[i])
+        assert torch.equal(first[i], torch.cat([part[i] for part in in_blocks]))
