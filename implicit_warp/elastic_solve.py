@@ -41,7 +41,7 @@ from implicit_warp.handles import Handle
 from implicit_warp.layers import compose_affine, determinant_3x3, invert_affine
 from implicit_warp.progress import progress_bar
 from implicit_warp.sampling import Samples, sample_shape
-from implicit_warp.threads import single_thread
+from implicit_warp.threads import threads_for_steps
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
 
@@ -198,7 +198,7 @@ def elastic(
             "handles", handles, "nothing is held or moved", "pass iw.hold(...) and iw.move(...)"
         )
     solver = _Solver(shape, handles, options)
-    with progress_bar("elastic", progress) as update, single_thread():
+    with progress_bar("elastic", progress) as update, threads_for_steps(options.samples):
         return solver.run(update, callback)
 
 
@@ -227,7 +227,7 @@ class _Solver:
         ).to(options.device)
         self.generator = torch.Generator().manual_seed(options.seed)
         self._break_symmetry()
-        self.weights = torch.full((len(self.pool),), 1.0 / len(self.pool))
+        self._set_density(torch.full((len(self.pool),), 1.0 / len(self.pool)).double())
 
     def _set_domain(self, samples: Samples) -> None:
         """Choose the unit domain and bring samples and targets to the device."""
@@ -314,9 +314,18 @@ class _Solver:
     def _draw(self) -> tuple[Tensor, Tensor]:
         """Interior points of this step and their importance weights, which sum to about one."""
         size = self.options.samples
-        drawn = torch.multinomial(self.weights, size, True, generator=self.generator)
-        importance = 1.0 / (len(self.pool) * size * self.weights[drawn])
-        return self.pool[drawn.to(self.pool.device)], importance.to(self.pool.device)
+        # One draw from each of equally likely strata: less noise than independent draws.
+        offsets = torch.rand(size, generator=self.generator, dtype=torch.float64)
+        level = (torch.arange(size) + offsets) / size
+        drawn = torch.searchsorted(self.cumulative, level).clamp_(max=len(self.pool) - 1)
+        drawn = drawn.to(self.pool.device)
+        return self.pool[drawn], self.importance[drawn]
+
+    def _set_density(self, weights: Tensor) -> None:
+        """Draw the pool's points with these probabilities from now on."""
+        self.cumulative = weights.cumsum(0)
+        importance = 1.0 / (len(self.pool) * self.options.samples * weights)
+        self.importance = importance.to(self.pool.device, torch.float32)
 
     def _loss(self, sample: tuple[Tensor, Tensor]) -> Tensor:
         stack = self.net.stack(self.before, self.after)
@@ -362,7 +371,7 @@ class _Solver:
         # Half of the draws stay uniform, so that no importance weight exceeds two.
         energy = energy.double().cpu()
         share = energy / energy.sum().clamp(min=1e-300)
-        self.weights = (0.5 / len(energy) + 0.5 * share).float()
+        self._set_density(0.5 / len(energy) + 0.5 * share)
         return float(terms["total"])
 
     def _report(

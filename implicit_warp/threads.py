@@ -26,16 +26,21 @@ def set_threads(count: int) -> None:
     numba.set_num_threads(count)
 
 
-@contextlib.contextmanager
-def single_thread() -> Iterator[None]:
-    """One thread within the block.
+POINTS_WORTH_A_THREAD = 8192
+"""Points a step from which a loop of small operations gains by a second thread."""
 
-    For loops of many small operations: handing each to a second thread costs more than it saves,
-    and on a busy machine the waiting threads were seen to slow such a loop tenfold.
+
+@contextlib.contextmanager
+def threads_for_steps(points: int) -> Iterator[None]:
+    """Within the block, as many threads as steps over so many points can use.
+
+    Most operations of an optimisation step are small: handing each to a second thread costs more
+    than it saves, and on a busy machine the waiting threads were seen to slow such a loop tenfold.
+    Torch gets one thread; the kernels get more when there are points enough.
     """
     before = torch.get_num_threads(), numba.get_num_threads()
     torch.set_num_threads(1)
-    numba.set_num_threads(1)
+    numba.set_num_threads(max(1, min(before[1], points // POINTS_WORTH_A_THREAD)))
     try:
         yield
     finally:

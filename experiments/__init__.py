@@ -1,0 +1,1 @@
+"""Studies that use the packages and are never installed with them."""
