@@ -56,6 +56,12 @@ class Affine(Map):
         matrix = _array("matrix", matrix, (3, 4))
         return cls(matrix[:, :3], matrix[:, 3])
 
+    @property
+    def lipschitz(self) -> tuple[float, float]:
+        """The largest singular value, and the inverse of the smallest."""
+        singular = torch.linalg.svdvals(self.matrix[:, :3])
+        return float(singular[0]) * (1.0 + 1e-15), (1.0 + 1e-15) / float(singular[-1])
+
     def __repr__(self) -> str:
         return f"Affine({self.matrix[:, :3].tolist()}, {self.matrix[:, 3].tolist()})"
 
@@ -159,4 +165,5 @@ def _array(argument: str, value, shape: tuple[int, ...]) -> np.ndarray:
 def _apply(matrix: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     matrix = matrix.to(points)
     linear = matrix[:, :3]
-    return points @ linear.T + matrix[:, 3], linear.expand(len(points), 3, 3)
+    # A Jacobian of its own for every point: callers may write to them.
+    return points @ linear.T + matrix[:, 3], linear.repeat(len(points), 1, 1)

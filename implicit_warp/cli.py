@@ -133,9 +133,12 @@ class Extract(_Common):
     def run(self) -> int:
         """Carry out the command; returns the exit code."""
         from implicit_warp.extraction import extract
+        from implicit_warp.files import refuse_target
+        from implicit_warp.mesh_files import WRITABLE
         from implicit_warp.progress import progress_bar
         from implicit_warp.shapes import load_shape
 
+        refuse_target(self.out, WRITABLE)
         shape = load_shape(self.shape)
         with progress_bar("extract") as update:
             mesh = extract(shape, self.resolution, at_wall=self.at_wall, progress=update)
@@ -168,13 +171,14 @@ class Apply(_Common):
         """Carry out the command; returns the exit code."""
         from implicit_warp.deformation import deform
         from implicit_warp.extraction import extract
-        from implicit_warp.files import atomic_write, load
-        from implicit_warp.mesh_files import read_mesh
+        from implicit_warp.files import atomic_write, load, refuse_target
+        from implicit_warp.mesh_files import WRITABLE, read_mesh
         from implicit_warp.shapes import load_shape
 
+        suffix = self.thing.suffix.lower()
+        refuse_target(self.out, (".npy",) if suffix == ".npy" else WRITABLE)
         map_ = load(self.warp)
         map_ = map_.inv if self.inverse else map_
-        suffix = self.thing.suffix.lower()
         if suffix == ".npy":
             import numpy as np
 

@@ -11,7 +11,6 @@ from torch import Tensor
 from fields import Field
 from implicit_warp.errors import InputError
 from implicit_warp.maps import Map
-from implicit_warp.warp import Warp
 
 if TYPE_CHECKING:
     import trimesh
@@ -60,7 +59,7 @@ def deform(thing, map_: Map):
 
 
 def _deform_field(field: Field, map_: Map) -> Field:
-    forward, backward = (None, None) if not isinstance(map_, Warp) else map_.lipschitz
+    forward, backward = map_.lipschitz
     known = field.lipschitz is not None and backward is not None
 
     def pull_back(points: Tensor) -> Tensor:
@@ -89,8 +88,9 @@ def _image_bounds(field: Field, map_: Map) -> np.ndarray:
     reach = 0.5 * float(step.norm())
     if field.lipschitz is not None:
         lattice = lattice[field.evaluate(lattice) <= reach * field.lipschitz]
-    if not len(lattice):
-        return map_(torch.stack([low, high])).numpy()
+    if not len(lattice):  # nothing is inside; any box will do, so that of the corners' images
+        images = map_(torch.cartesian_prod(*torch.stack([low, high], 1)))
+        return torch.stack([images.amin(0), images.amax(0)]).numpy()
     images, jacobians = map_.call_and_jacobian(lattice)
     # The Frobenius norm bounds the spectral norm, and needs no decomposition.
     margin = reach * float(torch.linalg.matrix_norm(jacobians).max())

@@ -14,6 +14,7 @@ import contextlib
 import functools
 import weakref
 from collections.abc import Iterator
+from contextvars import ContextVar
 from types import ModuleType
 
 import torch
@@ -25,7 +26,7 @@ from implicit_warp.layers import LayerStack
 
 BACK_ENDS = ("auto", "torch", "numba", "triton")
 
-_forced = "auto"
+_forced: ContextVar[str] = ContextVar("back_end", default="auto")
 
 
 @contextlib.contextmanager
@@ -40,23 +41,22 @@ def back_end(name: str) -> Iterator[None]:
             or dtype.
         MissingDependency: "triton", where Triton cannot be imported.
     """
-    global _forced
     if name not in BACK_ENDS:
         raise InputError("name", name, "no such back end", f"use one of {', '.join(BACK_ENDS)}")
     if name == "triton" and _triton_backend() is None:
         raise MissingDependency(
             "triton", 'back end "triton"', "It comes with the CUDA builds of torch"
         )
-    previous, _forced = _forced, name
+    token = _forced.set(name)
     try:
         yield
     finally:
-        _forced = previous
+        _forced.reset(token)
 
 
 def forced_back_end() -> str:
     """The back end that an enclosing `back_end` block asks for; "auto" outside of any."""
-    return _forced
+    return _forced.get()
 
 
 def forward(stack: LayerStack, points: Tensor) -> Tensor:
@@ -81,19 +81,20 @@ def inverse_and_jacobian(stack: LayerStack, points: Tensor) -> tuple[Tensor, Ten
 
 def _choose(points: Tensor) -> ModuleType:
     known = points.dtype in (torch.float32, torch.float64)
-    if _forced == "torch":
+    forced = _forced.get()
+    if forced == "torch":
         return torch_backend
-    if _forced == "triton" or (_forced == "auto" and points.is_cuda and known):
+    if forced == "triton" or (forced == "auto" and points.is_cuda and known):
         triton_backend = _triton_backend()
         if triton_backend is not None and triton_backend.fits(points):
             return triton_backend
-        if _forced == "triton":
+        if forced == "triton":
             raise _refusal(points, "triton", "on a CUDA device")
     elif points.device.type == "cpu" and known:
         from implicit_warp import numba_gradients
 
         return numba_gradients
-    elif _forced == "numba":
+    elif forced == "numba":
         raise _refusal(points, "numba", "on the CPU")
     return torch_backend
 

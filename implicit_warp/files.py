@@ -10,14 +10,14 @@ import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from implicit_warp.affine import Affine
-from implicit_warp.errors import FileFormatError, InputError
+from implicit_warp.errors import FileFormatError, InputError, NotInjective
 from implicit_warp.maps import Composition, Inverse, Map
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
@@ -36,26 +36,56 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     Raises:
         InputError: the folder does not exist, or the target is a folder.
     """
+    path = Path(os.path.realpath(path))  # a link stays a link
+    refuse_target(path)
+    try:
+        # mkstemp makes private files; the result keeps the old file's permissions, or gets those
+        # that any new file has.
+        handle, name = tempfile.mkstemp(path.suffix, f".{path.stem}.", path.parent)
+        os.close(handle)
+        mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
+    except OSError as error:
+        raise InputError(
+            "path", str(path), f"cannot be written ({error.strerror})", "choose another folder"
+        ) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(mode)
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
+
+
+def refuse_target(path: str | Path, suffixes: Sequence[str] = ()) -> None:
+    """Raise `InputError` if a file cannot be written there, before the work that it would hold.
+
+    Args:
+        path: where a file is to be written.
+        suffixes: the suffixes it may have; any if empty.
+    """
     path = Path(path)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InputError(
+            "path", str(path), f"cannot write {path.suffix!r} here", f"use {', '.join(suffixes)}"
+        )
     if not path.parent.is_dir():
         raise InputError(
             "path", str(path), "its folder does not exist", f"create {path.parent} first"
         )
     if path.is_dir():
         raise InputError("path", str(path), "this is a folder", "name a file")
-    handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=f".{path.stem}.", dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp makes private files; give the result the permissions any new file would have.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(
+            "path", str(path), "its folder is not writable", "change its permissions or the path"
+        )
 
 
 def save(map_: Map, path: str | Path, *, units: str = "") -> None:
@@ -97,9 +127,27 @@ def load(path: str | Path) -> Map:
     """
     tensors, metadata = _read(path)
     try:
+        for name, tensor in tensors.items():
+            if not bool(torch.isfinite(tensor).all()):
+                raise InputError(name, tuple(tensor.shape), "NaN or infinite values", "save anew")
         return _rebuild(json.loads(metadata["structure"]), tensors)
-    except (KeyError, TypeError, json.JSONDecodeError, InputError) as error:
+    except NotInjective:
+        raise
+    except _DAMAGE as error:
         raise FileFormatError(f"{path}: the map's description is damaged ({error})") from error
+
+
+_DAMAGE = (
+    AttributeError,
+    IndexError,
+    InputError,
+    KeyError,
+    RecursionError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What rebuilding a map from a damaged description may raise."""
 
 
 def read_metadata(path: str | Path) -> dict[str, str]:
@@ -145,7 +193,8 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
         for key, tensor in parts.items():
             if tensor is not None:
                 names[key] = f"{len(tensors)}.{key}"
-                tensors[names[key]] = tensor.detach().cpu().contiguous()
+                # A copy: one map may stand twice in a composition, and files share no memory.
+                tensors[names[key]] = tensor.detach().cpu().contiguous().clone()
         return names
 
     if isinstance(map_, Warp):
@@ -195,9 +244,11 @@ def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map
         net = TutteNet(
             layers=len(start),
             resolution=structure["resolution"],
-            frames="free" if "theta_frames" in parts else start.numpy(),
+            frames=start.numpy(),
             boundary="free" if "theta_boundary" in parts else "fixed",
         )
+        if "theta_frames" in parts:
+            net.theta_frames = torch.nn.Parameter(torch.zeros_like(parts["theta_frames"]))
         net.load_state_dict({"frames_at_start": start, **parts})
         return net
     raise FileFormatError(f"unknown kind of map {kind!r}")

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from implicit_warp.errors import InputError
+from implicit_warp.layers import determinant_3x3
 
 NAMES = ("triplane", "cubic", "free")
 
@@ -37,15 +38,21 @@ def make_frames(frames: str | Sequence | np.ndarray | Tensor, layers: int) -> Te
             raise InputError(
                 "frames", tuple(cycle.shape), "not a list of 3x3 matrices", "pass (K, 3, 3)"
             )
-        error = (cycle @ cycle.transpose(-1, -2) - torch.eye(3, dtype=cycle.dtype)).abs().max()
-        if not error < 1e-9 or not bool((torch.linalg.det(cycle) > 0).all()):
-            raise InputError(
-                "frames",
-                f"orthogonality error {float(error):.3g}",
-                "not all of the matrices are rotations (det +1, to 1e-9)",
-                "orthonormalise them, and mind the orientation",
-            )
+        refuse_non_rotations("frames", cycle)
     return cycle[torch.arange(layers) % len(cycle)]
+
+
+def refuse_non_rotations(argument: str, matrices: Tensor, tolerance: float = 1e-9) -> None:
+    """Raise `InputError` unless all of the matrices (k, 3, 3) are rotations, to the tolerance."""
+    unit = torch.eye(3, dtype=matrices.dtype, device=matrices.device)
+    error = (matrices @ matrices.transpose(-1, -2) - unit).abs().max()
+    if not error < tolerance or not bool((determinant_3x3(matrices) > 0).all()):
+        raise InputError(
+            argument,
+            f"orthogonality error {float(error):.3g}",
+            f"not all of the matrices are rotations (det +1, to {tolerance:g})",
+            "orthonormalise them, and mind the orientation",
+        )
 
 
 def turn(frames: Tensor, axis_angles: Tensor) -> Tensor:

@@ -6,11 +6,15 @@ first process after an installation compiles them.
 
 from __future__ import annotations
 
+import os
+
 import numba
 
 # OpenMP first: it allows calls from several Python threads, which "workqueue" does not, and asking
 # for TBB first warns wherever another package has brought an old one.
-numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]
+# A process that was forked after kernels ran cannot run them: start workers by "spawn".
+if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
+    numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]
 
 REORDERING = {"contract", "nsz"}
 """Floating-point freedoms of the point kernels: fused multiply-add, and no care for signed zeros.

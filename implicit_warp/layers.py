@@ -63,7 +63,8 @@ class LayerStack:
     @cached_property
     def inverse_transitions(self) -> Tensor:
         """(K + 1, 3, 4) the inverses of the transitions, in the order in which they are met."""
-        return invert_affine(self.transitions).flip(0)
+        with torch.inference_mode(False), torch.set_grad_enabled(self.transitions.requires_grad):
+            return invert_affine(self.transitions).flip(0)
 
     @cached_property
     def oriented_areas(self) -> Tensor:
@@ -74,7 +75,7 @@ class LayerStack:
 
     def _cell_maps(self, inverse: bool) -> Tensor:
         # What is cached must carry its gradients, also if it is first asked for without them.
-        with torch.set_grad_enabled(self.embeddings.requires_grad):
+        with torch.inference_mode(False), torch.set_grad_enabled(self.embeddings.requires_grad):
             rest, image = self._corners
             return _cell_maps(image, rest) if inverse else _cell_maps(rest, image)
 

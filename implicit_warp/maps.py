@@ -10,6 +10,7 @@ behave alike.  Laws, which the tests hold every registered map to:
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from functools import cached_property
@@ -63,6 +64,11 @@ class Map(ABC):
         """Jacobians (..., 3, 3) at points (..., 3)."""
         return self.call_and_jacobian(points)[1]
 
+    @property
+    def lipschitz(self) -> tuple[float | None, float | None]:
+        """Lipschitz constants of the map and of its inverse on all of R^3; None if unknown."""
+        return None, None
+
     @cached_property
     def inv(self) -> Map:
         """The inverse, itself a map; ``m.inv.inv is m``."""
@@ -85,6 +91,11 @@ class Inverse(Map):
     def inv(self) -> Map:
         """The map that this one inverts."""
         return self._original
+
+    @property
+    def lipschitz(self) -> tuple[float | None, float | None]:
+        """Lipschitz constants of this map and of the one that it inverts."""
+        return self._original.lipschitz[::-1]
 
     def __repr__(self) -> str:
         return f"{self._original!r}.inv"
@@ -114,6 +125,12 @@ class Composition(Map):
         for m in maps:
             flat.extend(m.maps if isinstance(m, Composition) else [m])
         self.maps = tuple(flat)
+
+    @property
+    def lipschitz(self) -> tuple[float | None, float | None]:
+        """Products of the parts' constants; None where one is unknown."""
+        known = zip(*(m.lipschitz for m in self.maps), strict=True)
+        return tuple(None if None in part else math.prod(part) for part in known)
 
     def __repr__(self) -> str:
         return " @ ".join(repr(m) for m in reversed(self.maps))
@@ -157,7 +174,10 @@ def flatten_points(points):
         tensor, to_numpy = points, False
     else:
         try:
-            tensor, to_numpy = torch.as_tensor(np.asarray(points)), True
+            array = np.asarray(points)
+            # Torch takes neither foreign byte orders nor negative strides.
+            native = array.astype(array.dtype.newbyteorder("="), order="C", copy=True)
+            tensor, to_numpy = torch.from_numpy(native), True
         except (TypeError, ValueError) as error:
             raise InputError(
                 "points",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from implicit_warp.errors import FileFormatError, InputError
-from implicit_warp.files import atomic_write
+from implicit_warp.files import atomic_write, refuse_target
 
 if TYPE_CHECKING:
     import trimesh
@@ -40,12 +40,12 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     try:
         loaded = trimesh.load(path, process=False, maintain_order=True)
         mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
-    except (ValueError, IndexError, KeyError, TypeError, OSError, AttributeError) as error:
+    except Exception as error:  # whatever a format's parser makes of a damaged file
         raise FileFormatError(
             f"{path}: not a readable {path.suffix} file ({error}). It may be truncated"
         ) from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise FileFormatError(f"{path}: holds no triangles; a point cloud or an empty mesh")
+        raise FileFormatError(f"{path}: holds no triangles; truncated, a point cloud, or empty")
     if path.suffix.lower() == ".stl":
         vertices, faces = merge_equal_vertices(mesh.vertices, mesh.faces)
         return trimesh.Trimesh(vertices, faces, process=False)
@@ -62,12 +62,11 @@ def write_mesh(mesh: trimesh.Trimesh, path: str | Path) -> None:
         InputError: a suffix that cannot be written, or a folder that does not exist.
     """
     path = Path(path)
-    if path.suffix.lower() not in WRITABLE:
-        raise InputError(
-            "path", str(path), f"cannot write {path.suffix!r}", f"use {', '.join(WRITABLE)}"
-        )
+    refuse_target(path, WRITABLE)
+    # An OBJ's texture would be a second and a third file, with names that may be taken.
+    options = {"include_texture": False} if path.suffix.lower() == ".obj" else {}
     with atomic_write(path) as temporary:
-        mesh.export(temporary)
+        mesh.export(temporary, **options)
 
 
 def merge_equal_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

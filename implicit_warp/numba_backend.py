@@ -155,12 +155,22 @@ def _once(stack: LayerStack, key: tuple, make: Callable[[], Any]) -> Any:
 
 
 @inlined
+def _clamped(value, low, high):
+    """Value within [low, high]; low if it is NaN, whose conversion to an integer is undefined."""
+    above = value if value > low else low
+    return above if above < high else high
+
+
+@inlined
 def _cell_at_rest(x, y, scale, last, one, half, zero, n_side):
-    """The cell of the rest mesh that holds (x, y); straight-line code, so that it vectorises."""
+    """The cell of the rest mesh that holds (x, y); straight-line code, so that it vectorises.
+
+    Whatever x and y are, the cell exists: NaN fails every comparison and so ends up as zero.
+    """
     u = (x + one) * scale
     v = (y + one) * scale
-    iu = np.int32(min(max(u, zero), last))
-    iv = np.int32(min(max(v, zero), last))
+    iu = np.int32(_clamped(u, zero, last))
+    iv = np.int32(_clamped(v, zero, last))
     du = u - iu - half
     dv = v - iv - half
     # Which side of the two diagonals: +x 0, +y 1, -x 2, -y 3.
@@ -174,7 +184,7 @@ def _cell_at_rest(x, y, scale, last, one, half, zero, n_side):
     along = y if vertical else x
     across = x if vertical else -y
     along = along if across > zero else -along
-    step = np.int32(min(max((along / max(reach, one) + one) * scale, zero), last))
+    step = np.int32(_clamped((along / max(reach, one) + one) * scale, zero, last))
     turn = np.int32(1) if vertical else np.int32(0)
     turn += np.int32(0) if across > zero else np.int32(2)
     cone = np.int32(4) * n_side * n_side + turn * n_side + step
@@ -326,12 +336,13 @@ def _pull_back_guess(table, guess, x, y, at, u, v, linear, m, keep):
     Points outside the square are guessed from where their ray leaves it.
     """
     kind = x.dtype.type
-    one, scale, last = kind(1.0), kind(0.5 * GUESS_GRID), kind(GUESS_GRID - 0.5)
+    zero, one = kind(0.0), kind(1.0)
+    scale, last = kind(0.5 * GUESS_GRID), kind(GUESS_GRID - 0.5)
     side = np.int32(GUESS_GRID)
     for i in range(m):
         shrink = one / max(max(abs(x[i]), abs(y[i])), one)
-        gu = np.int32(min((x[i] * shrink + one) * scale, last))
-        gv = np.int32(min((y[i] * shrink + one) * scale, last))
+        gu = np.int32(_clamped((x[i] * shrink + one) * scale, zero, last))
+        gv = np.int32(_clamped((y[i] * shrink + one) * scale, zero, last))
         at[i] = gu * side + gv
     i = 0
     while i < m:

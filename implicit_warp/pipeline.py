@@ -21,10 +21,10 @@ import implicit_warp
 from fields import Field
 from implicit_warp.deformation import deform
 from implicit_warp.elastic_solve import ElasticOptions, elastic
-from implicit_warp.files import atomic_write, save
+from implicit_warp.files import atomic_write, refuse_target, save
 from implicit_warp.handles import Handle
 from implicit_warp.layers import determinant_3x3
-from implicit_warp.mesh_files import write_mesh
+from implicit_warp.mesh_files import WRITABLE, write_mesh
 from implicit_warp.warp import Warp
 
 if TYPE_CHECKING:
@@ -92,6 +92,16 @@ def deform_to_files(
     from implicit_warp.extraction import extract
     from implicit_warp.progress import progress_bar
 
+    # Before the work: a path that cannot be written must not cost a solve.
+    targets = {
+        mesh_path: WRITABLE,
+        warp_path: (".safetensors",),
+        report_path: (".json",),
+        picture_path: (".png",),
+    }
+    for target, suffixes in targets.items():
+        if target is not None:
+            refuse_target(target, suffixes)
     warp = elastic(shape, handles, options=options, progress=progress)
     if warp_path is not None:
         save(warp, warp_path)

@@ -158,7 +158,9 @@ def square_mesh(resolution: int) -> SquareMesh:
 @lru_cache(maxsize=512)
 def mesh_tensor(mesh: SquareMesh, name: str, dtype: torch.dtype, device: torch.device) -> Tensor:
     """One of the mesh's arrays as a tensor; cached, so do not write to it."""
-    return torch.tensor(getattr(mesh, name), dtype=dtype, device=device)
+    # Outside inference mode whatever the caller's mode is: others will train with it.
+    with torch.inference_mode(False):
+        return torch.tensor(getattr(mesh, name), dtype=dtype, device=device)
 
 
 @lru_cache(maxsize=64)

@@ -65,7 +65,8 @@ def locate_at_rest(xy: Tensor, mesh: SquareMesh) -> Tensor:
     n = mesh.resolution - 1
     scale = 0.5 * n
     x, y = xy.unbind(-1)
-    u, v = (x + 1.0) * scale, (y + 1.0) * scale
+    # NaN stays NaN through every step; it is given a cell, so that it reaches the result.
+    u, v = ((x + 1.0) * scale).nan_to_num(0.0), ((y + 1.0) * scale).nan_to_num(0.0)
     i = u.floor().clamp(0, n - 1)
     j = v.floor().clamp(0, n - 1)
     du, dv = u - i - 0.5, v - j - 0.5
@@ -88,7 +89,7 @@ def _cone_at_rest(x: Tensor, y: Tensor, reach: Tensor, n: int) -> Tensor:
     first_half = torch.where(vertical, x, -y) > 0
     along = torch.where(vertical, y, x) / reach
     along = torch.where(first_half, along, -along)
-    step = ((along + 1.0) * (0.5 * n)).floor().clamp(0, n - 1).long()
+    step = ((along + 1.0) * (0.5 * n)).nan_to_num(0.0).floor().clamp(0, n - 1).long()
     side = torch.where(vertical, 1, 0) + torch.where(first_half, 0, 2)
     return side * n + step
 

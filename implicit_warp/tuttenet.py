@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -37,6 +38,9 @@ class TutteNet(Map, nn.Module):
         init: "identity", or "paper" for normally distributed parameters.
         seed: of the random initialisation.
 
+    Non-guarantees: gradients are of first order on the fast back ends (use
+    ``back_end("torch")`` for higher ones); forward hooks of `torch.nn.Module` are not called.
+
     Attributes:
         theta_weights: (K, E) parameters of the directed edge weights.
         theta_boundary: (K, M) parameters of the boundary increments; absent when held fixed.
@@ -57,7 +61,7 @@ class TutteNet(Map, nn.Module):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        if not isinstance(layers, int) or layers < 1:
+        if not isinstance(layers, (int, np.integer)) or layers < 1:
             raise InputError("layers", layers, "a net needs at least one layer", "pass e.g. 24")
         if boundary not in BOUNDARIES:
             raise InputError(
@@ -112,7 +116,17 @@ class TutteNet(Map, nn.Module):
 
     def stack(self, before: Tensor | None = None, after: Tensor | None = None) -> LayerStack:
         """The layers as evaluated, optionally between two affine maps (3, 4); differentiable."""
-        return LayerStack(self.mesh, self.embeddings(), fuse_frames(self.frames(), before, after))
+        stack = LayerStack(self.mesh, self.embeddings(), fuse_frames(self.frames(), before, after))
+        if not bool(
+            torch.isfinite(stack.embeddings.detach().sum() + stack.transitions.detach().sum())
+        ):
+            raise InputError(
+                "parameters",
+                "NaN or infinite",
+                "the layers cannot be solved, so the optimisation has diverged",
+                "go back to an earlier state, and lower the learning rate",
+            )
+        return stack
 
     def freeze(self) -> Warp:
         """The compiled form: tables only, fast, saveable, checked to be injective."""

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from implicit_warp import evaluate
 from implicit_warp.errors import InputError, NotInjective
+from implicit_warp.frames import refuse_non_rotations
 from implicit_warp.layers import LayerStack, fuse_frames
 from implicit_warp.maps import Map
 from implicit_warp.square_mesh import SquareMesh, square_mesh
@@ -50,6 +51,8 @@ class Warp(Map):
         self.embeddings = _frozen("embeddings", embeddings, (None, None, 2))
         device = self.embeddings.device
         self.frames = _frozen("frames", frames, (len(self.embeddings), 3, 3)).to(device)
+        # Room for the frames of a float32 net; the transitions are inverted as they are.
+        refuse_non_rotations("frames", self.frames, tolerance=1e-6)
         unit = torch.eye(3, 4, dtype=torch.float64)
         self.before = _frozen("before", unit if before is None else before, (3, 4)).to(device)
         self.after = _frozen("after", unit if after is None else after, (3, 4)).to(device)
@@ -111,8 +114,8 @@ class Warp(Map):
         typical pair of points sees.
         """
         return (
-            _stretch(self._stack.tables, self.before, self.after),
-            _stretch(self._stack.inverse_tables, *_inverses(self.before, self.after)),
+            _stretch(self._stack.tables, self._stack.transitions),
+            _stretch(self._stack.inverse_tables, self._stack.inverse_transitions),
         )
 
     def _check_areas(self) -> None:
@@ -138,7 +141,9 @@ class Warp(Map):
 
 
 def _frozen(argument: str, value: Tensor, shape: tuple[int | None, ...]) -> Tensor:
-    tensor = torch.as_tensor(value).detach().to(torch.float64).clone()
+    # A copy that later training may use, wherever it is made.
+    with torch.inference_mode(False):
+        tensor = torch.as_tensor(value).detach().to(torch.float64).clone()
     fits = tensor.ndim == len(shape) and all(
         want in (None, have) for want, have in zip(shape, tensor.shape, strict=True)
     )
@@ -149,7 +154,10 @@ def _frozen(argument: str, value: Tensor, shape: tuple[int | None, ...]) -> Tens
         )
     if not bool(torch.isfinite(tensor).all()):
         raise InputError(
-            argument, argument, "NaN or infinite values", "the solve or the file is damaged"
+            argument,
+            tuple(tensor.shape),
+            "it holds NaN or infinite values",
+            "the solve or the file is damaged",
         )
     return tensor
 
@@ -168,15 +176,11 @@ def _mesh_of(embeddings: Tensor) -> SquareMesh:
     return square_mesh(resolution)
 
 
-def _stretch(tables: Tensor, first: Tensor, last: Tensor) -> float:
+def _stretch(tables: Tensor, transitions: Tensor) -> float:
     a, b, c, d = tables[..., :4].unbind(-1)
     # Largest singular value of [[a, b], [c, d]].
     largest = 0.5 * (torch.hypot(a + d, c - b) + torch.hypot(a - d, b + c))
     layers = largest.amax(-1).clamp(min=1.0)  # the normal keeps its length
-    ends = [torch.linalg.matrix_norm(m[:, :3], 2) for m in (first, last)]
+    between = torch.linalg.matrix_norm(transitions[..., :3], 2)
     # The margin covers the rounding of a few hundred float64 operations.
-    return float(layers.prod() * ends[0] * ends[1]) * (1.0 + 1e-12)
-
-
-def _inverses(*matrices: Tensor) -> list[Tensor]:
-    return [torch.linalg.inv(m[:, :3]) for m in matrices]
+    return float(layers.prod() * between.prod()) * (1.0 + 1e-12)

@@ -184,6 +184,31 @@ def test_bad_input_is_exit_code_2_with_a_remedy(part, capsys, arguments, words):
     assert not (part / "a.stl").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "target"),
+    [
+        ("-o", "a.xyz"),
+        ("-o", "no/a.stl"),
+        ("--warp", "no/w.safetensors"),
+        ("--warp", "w.pt"),
+        ("--report", "no/r.json"),
+        ("--picture", "p.jpg"),
+    ],
+)
+def test_targets_that_cannot_be_written_are_refused_before_the_solve(
+    part, capsys, monkeypatch, option, target
+):
+    from implicit_warp import pipeline
+
+    monkeypatch.setattr(pipeline, "elastic", lambda *a, **k: pytest.fail("the solve was started"))
+    arguments = ["deform", f"{part}/part.py", "--handles", f"{part}/part.toml"]
+    arguments += [option, f"{part}/{target}"]
+    if option != "-o":
+        arguments += ["-o", f"{part}/a.stl"]
+    assert main(arguments) == 2
+    assert target in capsys.readouterr().err
+
+
 def test_interrupting_the_solve_leaves_the_warp_on_disk(part, monkeypatch):
     from implicit_warp import elastic_solve
 
