@@ -1,7 +1,7 @@
 """The command ``implicit-warp``.
 
-Exit codes: 0 good, 1 a mesh failed its check, 2 bad input, 130 interrupted (what was reached is on
-disk).
+Exit codes: 0 good, 1 a mesh failed its check, 2 bad input, 3 a defect of this program, 130
+interrupted (the best warp so far is on disk).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,7 @@ from implicit_warp.errors import FileFormatError, InputError, MissingDependency,
 if TYPE_CHECKING:
     from implicit_warp.checking import CheckReport
 
-GOOD, BAD_MESH, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+GOOD, BAD_MESH, BAD_INPUT, DEFECT, INTERRUPTED = 0, 1, 2, 3, 130
 
 Out = Annotated[Path, arg(aliases=["-o"])]
 Referee = Literal["manifold3d", "trimesh", "open3d", "pymeshlab"]
@@ -65,7 +66,7 @@ class Deform(_Common):
     resolution: int = 192
     """Voxels along the longest side of the result's box."""
     warp: Path | None = None
-    """Also save the map here (.safetensors)."""
+    """Where to save the map (.safetensors); beside the mesh if not given."""
     report: Path | None = None
     """Also save all figures here (.json)."""
     picture: Path | None = None
@@ -86,6 +87,7 @@ class Deform(_Common):
         from implicit_warp.pipeline import deform_to_files
         from implicit_warp.shapes import load_shape
 
+        warp_path = self.warp or self.out.with_suffix(".safetensors")
         shape = load_shape(self.shape)
         handles, solve = load_handles(self.handles)
         given = {"steps": self.steps, "layers": self.layers, "seed": self.seed}
@@ -96,7 +98,7 @@ class Deform(_Common):
             self.out,
             options=ElasticOptions.from_mapping(solve),
             resolution=self.resolution,
-            warp_path=self.warp,
+            warp_path=warp_path,
             report_path=self.report,
             picture_path=self.picture,
             referees=self.referees,
@@ -108,7 +110,7 @@ class Deform(_Common):
             f"diagonal), smallest det J {outcome.report['map'].get('smallest_determinant', 0):.3g}"
         )
         if outcome.verdict is None:
-            _say("interrupted: no mesh was extracted" + _where(", the best warp is in", self.warp))
+            _say(f"interrupted: no mesh was extracted, the best warp is in {warp_path}")
             return INTERRUPTED
         _say(str(outcome.verdict))
         return _verdict(outcome.verdict)
@@ -334,6 +336,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("implicit-warp: interrupted\n")
         return INTERRUPTED
+    except Exception:  # noqa: BLE001 - a defect must not look like a verdict, exit code 1
+        traceback.print_exc()
+        return DEFECT
 
 
 def _write_and_check(mesh, path: Path) -> int:
@@ -365,10 +370,6 @@ def _read_points(path: Path):
         raise InputError(
             "thing", str(path), f"not a readable .npy file ({error})", "save it with numpy.save"
         ) from error
-
-
-def _where(words: str, path: Path | None) -> str:
-    return "" if path is None else f"{words} {path}"
 
 
 def _say(text: str) -> None:

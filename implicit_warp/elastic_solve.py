@@ -94,16 +94,17 @@ class ElasticOptions:
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < 1:
                 raise InputError(name, value, "not a positive whole number", "see ElasticOptions")
-        if not isinstance(self.seed, int):
-            raise InputError("seed", self.seed, "not a whole number", "pass e.g. 0")
-        if not self.learning_rate > 0:
-            raise InputError("learning_rate", self.learning_rate, "not positive", "pass e.g. 0.05")
+        if type(self.seed) is not int or not 0 <= self.seed < 2**63:
+            raise InputError("seed", self.seed, "not a whole number in [0, 2^63)", "pass e.g. 0")
         for option in options_of(self):
             value = getattr(self, option.name)
-            if (option.name.endswith("_weight") or option.name == "tolerance") and not (
+            if option.type == "float" and not (
                 isinstance(value, int | float) and 0 <= value < math.inf
             ):
                 raise InputError(option.name, value, "not a number >= 0", "see ElasticOptions")
+        if self.learning_rate == 0:
+            raise InputError("learning_rate", 0.0, "nothing would move", "pass e.g. 0.05")
+        _refuse_device(self.device)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> ElasticOptions:
@@ -189,7 +190,7 @@ def elastic(
     """
     options = (options or ElasticOptions()).with_changes(changes)
     shape = _as_field(shape)
-    handles = list(handles)
+    handles = [handles] if isinstance(handles, Handle) else list(handles)
     for handle in handles:
         if not isinstance(handle, Handle):
             raise InputError("handles", handle, "not a handle", "make it with iw.hold or iw.move")
@@ -197,9 +198,26 @@ def elastic(
         raise InputError(
             "handles", handles, "nothing is held or moved", "pass iw.hold(...) and iw.move(...)"
         )
-    solver = _Solver(shape, handles, options)
-    with progress_bar("elastic", progress) as update, threads_for_steps(options.samples):
-        return solver.run(update, callback)
+    names = [handle.name for handle in handles]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError("handles", twice, "two handles have this name", "name them apart")
+    with (
+        # Whatever mode the caller is in, a solve needs gradients.
+        torch.inference_mode(False),
+        torch.enable_grad(),
+        progress_bar("elastic", progress) as update,
+        threads_for_steps(options.samples),
+    ):
+        return _Solver(shape, handles, options).run(update, callback)
+
+
+def _refuse_device(device: str) -> None:
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, TypeError) as error:
+        cause = str(error).splitlines()[0]
+        raise InputError("device", device, f"torch cannot use it ({cause})", 'use "cpu"') from error
 
 
 def _as_field(shape: Any) -> Field:
@@ -242,15 +260,21 @@ class _Solver:
         self.unit = _UNIT_RADIUS / radius
         scale = torch.eye(3, dtype=torch.float64) * self.unit
         before = torch.cat([scale, -self.unit * centre[:, None]], -1)
-        after = compose_affine(_best_rigid_motion(source, target), invert_affine(before))
+        common = _best_rigid_motion(source, target)
+        after = compose_affine(common, invert_affine(before))
         self.before, self.after = before.to(device), after.to(device)
-        self.pool = samples.interior.to(device, torch.float32)
-        self.sources = source.to(device, torch.float32)
-        self.targets = target.to(device, torch.float32)
+        # Into the unit domain in float64, and only there to float32: far from the origin, or at
+        # any scale, nothing is lost.
+        back = invert_affine(after)
+        self.pool, self.sources, self.targets = (
+            (points @ matrix[:, :3].T + matrix[:, 3]).to(device, torch.float32)
+            for points, matrix in ((samples.interior, before), (source, before), (target, back))
+        )
         sizes = [len(p) for p in samples.regions]
         self.region_slices = [slice(sum(sizes[:i]), sum(sizes[: i + 1])) for i in range(len(sizes))]
         rotations = [
-            h.motion.matrix[:, :3].expand(n, 3, 3) for h, n in zip(self.handles, sizes, strict=True)
+            (common[:, :3].T @ h.motion.matrix[:, :3]).expand(n, 3, 3)
+            for h, n in zip(self.handles, sizes, strict=True)
         ]
         self.rotations = torch.cat(rotations).to(device, torch.float32)
         # Every handle counts alike however many points it got, times its own weight.
@@ -328,7 +352,7 @@ class _Solver:
         self.importance = importance.to(self.pool.device, torch.float32)
 
     def _loss(self, sample: tuple[Tensor, Tensor]) -> Tensor:
-        stack = self.net.stack(self.before, self.after)
+        stack = self.net.stack()
         points, importance = sample
         image, jacobian = evaluate.forward_and_jacobian(stack, torch.cat([points, self.sources]))
         n = len(points)
@@ -344,7 +368,7 @@ class _Solver:
     def _terms(
         self, elastic: Tensor, image: Tensor, jacobian: Tensor, layers: Tensor
     ) -> dict[str, Tensor]:
-        squared = ((image - self.targets) * self.unit).square().sum(-1)
+        squared = (image - self.targets).square().sum(-1)
         turned = (jacobian - self.rotations).square().sum((-1, -2))
         options = self.options
         terms = {
@@ -359,7 +383,7 @@ class _Solver:
     @torch.no_grad()
     def _measure(self) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
         """Loss terms over the whole pool; the energies, determinants and handle images."""
-        stack = self.net.stack(self.before, self.after)
+        stack = self.net.stack()
         _, jacobian = evaluate.forward_and_jacobian(stack, self.pool)
         image, handle_jacobian = evaluate.forward_and_jacobian(stack, self.sources)
         energy = elastic_energy(jacobian)
@@ -378,7 +402,7 @@ class _Solver:
         self, status: str, steps: int, seconds: float, history: list[tuple[int, float]]
     ) -> SolveReport:
         terms, _, determinants, image = self._measure()
-        distance = (image - self.targets).norm(dim=-1).double()
+        distance = (image - self.targets).double().norm(dim=-1) / self.unit
         handles = {}
         for handle, part in zip(self.handles, self.region_slices, strict=True):
             own = distance[part]

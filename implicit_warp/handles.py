@@ -151,12 +151,15 @@ def load_handles(path: str | Path) -> tuple[list[Handle], dict[str, Any]]:
             "write handles as [[handle]] and options as [solve]",
         )
     tables = content.get("handle", [])
-    if not isinstance(tables, list) or not tables:
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables) or not tables:
         raise InputError(
             "handles", str(path), "no [[handle]] table", "add one a region to hold or move"
         )
     handles = [_from_table(table, f"{path.name}, handle {i + 1}") for i, table in enumerate(tables)]
-    return handles, dict(content.get("solve", {}))
+    solve = content.get("solve", {})
+    if not isinstance(solve, dict):
+        raise InputError("solve", solve, f"{path.name}: not a table", "write options under [solve]")
+    return handles, dict(solve)
 
 
 def save_handles(
@@ -210,9 +213,18 @@ def _from_table(table: Mapping[str, Any], where: str) -> Handle:
             f"{where} needs a region, written as text",
             'write e.g. region = "above(0.6)"',
         )
-    region = fields.parse(table["region"])
+    try:
+        region = fields.parse(table["region"])
+    except InputError as error:
+        raise InputError(
+            "region", table["region"], f"{where}: {error.cause}", error.remedy
+        ) from error
     motion = {key: table[key] for key in _MOTION_WORDS if key in table}
     name, weight = table.get("name", ""), table.get("weight", 1.0)
+    if not isinstance(name, str):
+        raise InputError("name", name, f"{where}: not a text", 'write e.g. name = "foot"')
+    if not isinstance(table.get("hold", False), bool):
+        raise InputError("hold", table["hold"], f"{where}: neither true nor false", "no quotes")
     if table.get("hold", False):
         if motion:
             raise InputError(

@@ -21,8 +21,10 @@ import implicit_warp
 from fields import Field
 from implicit_warp.deformation import deform
 from implicit_warp.elastic_solve import ElasticOptions, elastic
+from implicit_warp.errors import InputError
 from implicit_warp.files import atomic_write, refuse_target, save
 from implicit_warp.handles import Handle
+from implicit_warp.lattice import lattice_for
 from implicit_warp.layers import determinant_3x3
 from implicit_warp.mesh_files import WRITABLE, write_mesh
 from implicit_warp.warp import Warp
@@ -99,9 +101,13 @@ def deform_to_files(
         report_path: (".json",),
         picture_path: (".png",),
     }
+    named = [str(t) for t in (mesh_path, warp_path, report_path, picture_path) if t is not None]
+    if len(set(named)) < len(named):
+        raise InputError("path", named, "two results would share a file", "name them apart")
     for target, suffixes in targets.items():
         if target is not None:
             refuse_target(target, suffixes)
+    lattice_for(shape, resolution, None)
     warp = elastic(shape, handles, options=options, progress=progress)
     if warp_path is not None:
         save(warp, warp_path)

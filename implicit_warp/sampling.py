@@ -14,6 +14,8 @@ from implicit_warp.handles import Handle
 
 _BATCH = 1 << 17
 _MOST_CANDIDATES = 1 << 24
+_PATIENCE = 1 << 21
+"""Candidates after which a region is content with fewer points than asked for."""
 
 
 @dataclass(frozen=True)
@@ -58,21 +60,28 @@ def sample_shape(
     chosen: list[list[Tensor]] = [[] for _ in handles]
     counts = [0] * len(handles)
     found = tried = 0
-    # A region much smaller than the shape is looked for longer than the interior needs.
-    while tried < _MOST_CANDIDATES and (found < interior or min(counts, default=1) == 0 or (
-        min(counts, default=per_region) < per_region and tried < 16 * _BATCH
-    )):  # fmt: skip
+    while tried < _MOST_CANDIDATES and (found < interior or min(counts, default=1) < per_region):
         candidates = torch.rand(_BATCH, 3, generator=generator, dtype=torch.float64)
         candidates = low + candidates * (high - low)
-        candidates = candidates[shape.evaluate(candidates) <= 0]
+        if found >= interior:
+            # Only regions are still short of points; they are cheap to evaluate, the shape may
+            # not be.
+            if min(counts, default=1) > 0 and tried > _PATIENCE:
+                break
+            short = [h for h, n in zip(handles, counts, strict=True) if n < per_region]
+            wanted = [handle.region.evaluate(candidates) <= 0 for handle in short]
+            candidates = candidates[torch.stack(wanted).any(0)] if short else candidates[:0]
         tried += _BATCH
-        found += len(candidates)
-        inside.append(candidates)
+        candidates = candidates[shape.evaluate(candidates) <= 0]
+        if found < interior:
+            found += len(candidates)
+            inside.append(candidates)
         for i, handle in enumerate(handles):
-            selected = candidates[handle.region.evaluate(candidates) <= 0]
-            chosen[i].append(selected)
-            counts[i] += len(selected)
-        if found == 0 and tried >= 32 * _BATCH:
+            if counts[i] < per_region:
+                selected = candidates[handle.region.evaluate(candidates) <= 0]
+                chosen[i].append(selected)
+                counts[i] += len(selected)
+        if found == 0 and tried >= 2 * _PATIENCE:
             break
     if found == 0:
         raise InputError(
@@ -86,8 +95,8 @@ def sample_shape(
             raise InputError(
                 "handles",
                 handle.name,
-                f"this handle selects nothing: none of {found} points of the shape lies in its "
-                f"region, and the shape's bounds are {shape.bounds.round(4).tolist()}",
+                f"this handle selects nothing: of {tried} random points of the shape's bounds, "
+                f"{shape.bounds.round(4).tolist()}, none lies both in the shape and in its region",
                 "move or enlarge the region so that it meets the shape",
             )
     regions = [torch.cat(points)[:per_region] for points in chosen]
@@ -99,8 +108,11 @@ def _refuse_contradictions(
     handles: Sequence[Handle], regions: Sequence[Tensor], diagonal: float
 ) -> None:
     for i, first in enumerate(handles):
-        for second in handles[i + 1 :]:
-            shared = regions[i][second.region.evaluate(regions[i]) <= 0]
+        for j, second in enumerate(handles[i + 1 :], i + 1):
+            # A large region's samples may all miss a small one: each is asked about the other's.
+            both = torch.cat([regions[i], regions[j]])
+            in_both = (first.region.evaluate(both) <= 0) & (second.region.evaluate(both) <= 0)
+            shared = both[in_both]
             gap = (first.motion(shared) - second.motion(shared)).norm(dim=-1)
             # Motions that agree to 1e-6 of the shape's size are the same for every purpose.
             torn = gap > 1e-6 * diagonal
@@ -108,8 +120,8 @@ def _refuse_contradictions(
                 raise InputError(
                     "handles",
                     [first.name, second.name],
-                    f"these two contradict each other: {int(torn.sum())} of {len(regions[i])} "
-                    f"points of the first lie in both regions, and are sent to places up to "
+                    f"these two contradict each other: {int(torn.sum())} of {len(both)} "
+                    f"points of theirs lie in both regions, and are sent to places up to "
                     f"{float(gap.max()):.3g} apart",
                     "make the regions disjoint, or give both the same motion",
                 )

@@ -33,7 +33,7 @@ def load_shape(path: str | Path) -> Field:
         names = runpy.run_path(str(path), run_name="__implicit_warp_shape__")
     except InputError:
         raise
-    except Exception as error:  # whatever a user's script raises is reported
+    except (Exception, SystemExit) as error:  # whatever a user's script raises is reported
         line = _line_in(path, error)
         raise InputError(
             "shape", str(path), f"the script failed{line}: {error!r}", "mend the script"

@@ -35,7 +35,8 @@ def run(name: str, out: Path, *options: str) -> int:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", choices=[*NAMES, []])
     parser.add_argument("--out", type=Path, default=Path("out/standard"))
-    arguments, options = parser.parse_known_args()
-    sys.exit(max(run(name, arguments.out, *options) for name in arguments.names or NAMES))
+    arguments, rest = parser.parse_known_args()
+    names = [word for word in rest if word in NAMES] or NAMES
+    options = [word for word in rest if word not in NAMES]
+    sys.exit(max(run(name, arguments.out, *options) for name in names))

@@ -142,6 +142,7 @@ BROKEN = {
     "no shape": ("x = 1", "defines no name 'shape'"),
     "wrong shape": ("shape = 3", "its 'shape' is 3"),
     "raises": ("a = 1\nb = a / 0\n", "failed in line 2: ZeroDivisionError"),
+    "exits": ("import sys\nsys.exit(0)", "failed in line 2: SystemExit"),
     "syntax": ("shape = (", "failed in line 1: SyntaxError"),
 }
 
@@ -166,6 +167,7 @@ def test_broken_scripts_are_explained(tmp_path, capsys, text, words):
         (["check", "{0}/part.py"], "no mesh format"),
         (["check", "{0}/broken.stl"], "broken.stl"),
         (["check", "{0}/broken.ply"], "broken.ply"),
+        (["check", "{0}/broken.3mf"], "broken.3mf"),
         (["info", "{0}/broken.safetensors"], "may be truncated"),
         (["apply", "{0}/none.safetensors", "{0}/part.py", "-o", "{0}/a.stl"], "no such file"),
         (
@@ -175,7 +177,7 @@ def test_broken_scripts_are_explained(tmp_path, capsys, text, words):
     ],
 )
 def test_bad_input_is_exit_code_2_with_a_remedy(part, capsys, arguments, words):
-    for name in ("broken.stl", "broken.ply", "broken.safetensors"):
+    for name in ("broken.stl", "broken.ply", "broken.3mf", "broken.safetensors"):
         (part / name).write_bytes(b"solid but not really")
     assert main([a.format(part) for a in arguments]) == 2
     error = capsys.readouterr().err
@@ -226,6 +228,36 @@ def test_interrupting_the_solve_leaves_the_warp_on_disk(part, monkeypatch):
     assert main(arguments) == 130
     assert iw.load(part / "w.safetensors").report.status == "interrupted"
     assert not (part / "a.stl").exists()
+
+
+def test_the_warp_is_saved_beside_the_mesh_unless_told_otherwise(part):
+    arguments = ["deform", f"{part}/part.py", "--handles", f"{part}/part.toml", "--steps", "2"]
+    assert main([*arguments, "-o", f"{part}/a.stl", "--resolution", "32"]) == 0
+    assert iw.load(part / "a.safetensors").report.steps == 2
+
+
+def test_results_may_not_share_a_file(part, capsys):
+    arguments = ["deform", f"{part}/part.py", "--handles", f"{part}/part.toml"]
+    arguments += ["-o", f"{part}/a.stl", "--warp", f"{part}/a.stl"]
+    assert main(arguments) == 2
+    assert "share a file" in capsys.readouterr().err
+
+
+def test_an_obj_brings_no_other_files(tmp_path):
+    (tmp_path / "material.mtl").write_text("precious")
+    ball = trimesh.creation.icosphere(1)
+    ball.visual = trimesh.visual.TextureVisuals(uv=np.zeros((len(ball.vertices), 2)))
+    write_mesh(ball, tmp_path / "ball.obj")
+    assert (tmp_path / "material.mtl").read_text() == "precious"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.obj", "material.mtl"]
+
+
+def test_a_defect_is_exit_code_3(part, monkeypatch, capsys):
+    from implicit_warp import shapes
+
+    monkeypatch.setattr(shapes, "load_shape", lambda path: 1 / 0)
+    assert main(["info", f"{part}/part.py"]) == 3
+    assert "ZeroDivisionError" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", COMMANDS)

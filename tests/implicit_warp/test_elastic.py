@@ -82,6 +82,36 @@ def test_interruption_returns_the_best_so_far():
     )
 
 
+@pytest.mark.parametrize(("scale", "shift"), [(1e-6, 0.0), (1e-6, 1.0), (1.0, 1e6), (1e6, 1e9)])
+def test_neither_size_nor_place_costs_accuracy(scale, shift):
+    bar = sdf.box((1.0, 1.0, 3.0))
+    moved = bar.scale(scale).translate((shift, shift, shift))
+    short = {**SMALL, "steps": 40}
+    reports = []
+    for shape, low, high, pivot in (
+        (bar, -1.1, 1.1, 0.0),
+        (moved, shift - 1.1 * scale, shift + 1.1 * scale, shift),
+    ):
+        turn = {"rotate": ("z", 60), "pivot": (pivot, pivot, pivot)}
+        handles = [iw.hold(sdf.below(low)), iw.move(sdf.above(high), **turn)]
+        reports.append(iw.elastic(shape, handles, **short).report.handle_error_relative)
+    assert reports[1] == pytest.approx(reports[0], rel=0.05)
+
+
+def test_a_solve_runs_in_any_gradient_mode_and_leaves_nothing_behind():
+    short = {**SMALL, "steps": 5}
+    expected = iw.elastic(BAR, HANDLES, **short).embeddings
+    with torch.no_grad():
+        assert torch.equal(iw.elastic(BAR, HANDLES, **short).embeddings, expected)
+    with torch.inference_mode():
+        warp = iw.elastic(BAR, HANDLES, **short)
+        warp(torch.zeros(2, 3))
+    x = torch.zeros(2, 3, dtype=torch.float64, requires_grad=True)
+    warp(x).sum().backward()
+    with iw.back_end("torch"):
+        warp(x).sum().backward()
+
+
 def test_a_closed_mesh_is_a_shape():
     import trimesh
 
@@ -103,6 +133,10 @@ def test_a_closed_mesh_is_a_shape():
         ({"handle_weight": float("nan")}, "handle_weight = nan"),
         ({"frames": "sideways"}, "triplane, cubic, free"),
         ({"seed": 0.5}, "seed = 0.5"),
+        ({"seed": 2**70}, "seed = "),
+        ({"learning_rate": "fast"}, "learning_rate = 'fast'"),
+        ({"device": "abacus"}, "torch cannot use it"),
+        ({"handles": [HANDLES[0], HANDLES[0]]}, "two handles have this name"),
     ],
 )
 def test_bad_arguments_are_named(arguments, words):

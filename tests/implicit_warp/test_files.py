@@ -107,6 +107,49 @@ def test_maps_without_a_format_are_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@torch.no_grad()
+def test_one_map_may_stand_twice_in_a_composition(tmp_path, seed):
+    warp = random_warp(seed)
+    both = warp @ iw.Affine() @ warp
+    save(both, tmp_path / "map.safetensors")
+    x = torch.rand(5, 3, dtype=torch.float64)
+    assert torch.equal(load(tmp_path / "map.safetensors")(x), both(x))
+
+
+@pytest.mark.parametrize(
+    "structure",
+    ['{"kind": "warp", "tensors": 3}', '{"kind": "cube", "tensors": {}}', "[" * 100_000, "7", "{}"],
+)
+def test_no_description_does_more_than_be_refused(saved, structure):
+    rewrite(saved, lambda metadata, _: metadata.update(structure=structure))
+    with pytest.raises(FileFormatError):
+        load(saved)
+
+
+def test_values_that_are_not_finite_are_refused(saved):
+    rewrite(saved, lambda _, tensors: tensors["1.frames"].fill_(float("nan")))
+    with pytest.raises(FileFormatError, match="NaN"):
+        load(saved)
+
+
+def test_frames_that_are_no_rotations_are_refused(saved):
+    rewrite(saved, lambda _, tensors: tensors["1.frames"].mul_(3.0))
+    with pytest.raises(FileFormatError, match="rotations"):
+        load(saved)
+
+
+def test_a_link_stays_a_link_and_permissions_stay(tmp_path):
+    real, link = tmp_path / "real.txt", tmp_path / "link.txt"
+    real.write_text("old")
+    real.chmod(0o640)
+    link.symlink_to(real)
+    with atomic_write(link) as temporary:
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert real.read_text() == "new"
+    assert real.stat().st_mode & 0o777 == 0o640
+
+
 def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")

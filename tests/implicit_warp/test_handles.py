@@ -73,7 +73,11 @@ def test_files_and_api_are_the_same_thing(tmp_path):
         ("[[handle]]\nregion='above(1)'\nrotate=['z']", ["not a pair of axis and angle"]),
         ("[[handle]]\nregion='above(1)'\ntranslate=[0,1]", ["translate", "(3,)"]),
         ("[[handle]]\nregion='above(1)'\ntranslate=[0,1,nan]", ["translate", "not finite"]),
-        ("[[handle]]\nregion='open(1)'\nhold=true", ["open"]),
+        ("[[handle]]\nregion='open(1)'\nhold=true", ["open", "h.toml, handle 1"]),
+        ("[[handle]]\nregion='above(1)'\nhold='false'", ["neither true nor false"]),
+        ("[[handle]]\nregion='above(1)'\nhold=true\nname=3", ["name = 3"]),
+        ("handle=[1,2]", ["no [[handle]] table"]),
+        ("solve=3\n[[handle]]\nregion='above(1)'\nhold=true", ["solve = 3"]),
         ("[[handle]]\nregion='above(1)'\nhold=true\nweight=-1", ["weight = -1"]),
     ],
 )
@@ -153,6 +157,14 @@ def test_impossible_handles_are_explained(shape, handles, words):
     with pytest.raises(InputError) as caught:
         sample_shape(shape, handles, 100, 100, seed=0)
     assert words in str(caught.value)
+
+
+def test_contradictions_are_found_in_either_order_and_however_small():
+    large = iw.hold(sdf.below(1.0), name="large")
+    small = iw.move(sdf.sphere(0.08, center=(0, 0, -0.9)), translate=(0, 0, 0.5), name="small")
+    for handles in ([large, small], [small, large]):
+        with pytest.raises(InputError, match="contradict each other"):
+            sample_shape(BALL, handles, 100, 128, seed=0)
 
 
 def test_overlapping_handles_that_agree_are_fine():

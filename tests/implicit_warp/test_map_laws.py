@@ -170,6 +170,83 @@ def test_bad_points_are_named(points, words, seed):
         assert word in str(caught.value)
 
 
+@MAPS
+@torch.no_grad()
+def test_numpy_arrays_of_any_layout(build, seed):
+    m = build(seed)
+    x = np.random.default_rng(seed).normal(size=(6, 3))
+    expected = m(x)
+    np.testing.assert_array_equal(m(x[::-1]), expected[::-1])
+    np.testing.assert_array_equal(m(x.astype(">f8")), expected)
+    np.testing.assert_array_equal(m(np.asfortranarray(x)), expected)
+
+
+@MAPS
+@torch.no_grad()
+def test_jacobians_of_points_are_independent(build, seed):
+    jacobian = build(seed).jacobian(torch.zeros(3, 3, dtype=torch.float64))
+    before = jacobian[1].clone()
+    jacobian[0] = 7.0
+    assert torch.equal(jacobian[1], before)
+
+
+@MAPS
+@torch.no_grad()
+def test_lipschitz_constants_hold(build, seed):
+    m = build(seed)
+    x = torch.randn(300, 3, dtype=torch.float64)
+    stretch = torch.linalg.matrix_norm(m.jacobian(x), 2).max()
+    shrink = torch.linalg.matrix_norm(m.inv.jacobian(x), 2).max()
+    for value, bound in zip((stretch, shrink), m.lipschitz, strict=True):
+        assert bound is None or value <= bound * (1.0 + 1e-12)
+    assert m.inv.lipschitz == m.lipschitz[::-1]
+
+
+@BACK_END
+@torch.no_grad()
+def test_overflow_gives_no_crash(name, seed):
+    """Coordinates near the largest number become infinite on their way, and then NaN."""
+    warp = random_net(seed).freeze()
+    huge = torch.full((700, 3), 1.7e308, dtype=torch.float64)
+    with back_end(name):
+        for m in (warp, warp.inv):
+            assert m(huge).shape == (700, 3)
+            assert m(huge.float().nan_to_num()).shape == (700, 3)
+
+
+@BACK_END
+def test_a_net_that_diverged_says_so(name, seed):
+    net = random_net(seed)
+    net.theta_weights.data.fill_(torch.nan)
+    with back_end(name), pytest.raises(InputError, match="diverged"):
+        net(torch.zeros(4, 3))
+
+
+def test_inference_mode_leaves_nothing_behind(seed):
+    net = random_net(seed, resolution=6)
+    x = torch.rand(4, 3, dtype=torch.float64)
+    for name in ("torch", "numba"):
+        with back_end(name):
+            with torch.inference_mode():
+                net(x)
+                net.inv(x)
+            net(x).sum().backward()
+            net.inv(x).sum().backward()
+
+
+def test_a_forced_back_end_stays_in_its_thread():
+    import threading
+
+    from implicit_warp.evaluate import forced_back_end
+
+    seen = []
+    with back_end("torch"):
+        thread = threading.Thread(target=lambda: seen.append(forced_back_end()))
+        thread.start()
+        thread.join()
+    assert seen == ["auto"]
+
+
 def test_unknown_back_end_is_refused():
     with pytest.raises(InputError, match=r"cuda9.*auto, torch, numba"), back_end("cuda9"):
         pass
