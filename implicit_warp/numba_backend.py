@@ -216,8 +216,23 @@ def _move(t, x, y, z, m):
 
 
 @inlined
+def _apply_cell(table, cell, x, y, u, v, linear, i, keep):
+    """(u, v) = the cell's map of point i of a block; its 2x2 part goes to linear (4, m)."""
+    a = cell * np.int32(6)
+    p, q = x[i], y[i]
+    a00, a01, a10, a11 = table[a], table[a + 1], table[a + 2], table[a + 3]
+    u[i] = a00 * p + a01 * q + table[a + 4]
+    v[i] = a10 * p + a11 * q + table[a + 5]
+    if keep:
+        linear[0, i] = a00
+        linear[1, i] = a01
+        linear[2, i] = a10
+        linear[3, i] = a11
+
+
+@inlined
 def apply_cells(table, at, x, y, u, v, linear, m, keep):
-    """(u, v) = each point's own cell applied to (x, y); its 2x2 part goes to linear (4, m).
+    """(u, v) = each point's own cell applied to (x, y), which may be the same arrays.
 
     The loop ends early at a cell beyond the table, which there never is: without that exit LLVM
     spreads the gathers over vector lanes, one load and one insertion each, which was measured to
@@ -225,18 +240,9 @@ def apply_cells(table, at, x, y, u, v, linear, m, keep):
     """
     i = 0
     while i < m:
-        a = at[i] * np.int32(6)
-        if a >= len(table):
+        if at[i] >= len(table):
             break
-        p, q = x[i], y[i]
-        a00, a01, a10, a11 = table[a], table[a + 1], table[a + 2], table[a + 3]
-        u[i] = a00 * p + a01 * q + table[a + 4]
-        v[i] = a10 * p + a11 * q + table[a + 5]
-        if keep:
-            linear[0, i] = a00
-            linear[1, i] = a01
-            linear[2, i] = a10
-            linear[3, i] = a11
+        _apply_cell(table, at[i], x, y, u, v, linear, i, keep)
         i += 1
 
 
@@ -350,22 +356,8 @@ def _pull_back_guess(table, guess, x, y, at, u, v, linear, m, keep):
         if cell >= len(table):  # never: see apply_cells
             break
         at[i] = cell
-        _pull_back_one(table, cell, x, y, u, v, linear, i, keep)
+        _apply_cell(table, cell, x, y, u, v, linear, i, keep)
         i += 1
-
-
-@inlined
-def _pull_back_one(table, cell, x, y, u, v, linear, i, keep):
-    """What `apply_cells` does, for one point."""
-    a = cell * np.int32(6)
-    a00, a01, a10, a11 = table[a], table[a + 1], table[a + 2], table[a + 3]
-    u[i] = a00 * x[i] + a01 * y[i] + table[a + 4]
-    v[i] = a10 * x[i] + a11 * y[i] + table[a + 5]
-    if keep:
-        linear[0, i] = a00
-        linear[1, i] = a01
-        linear[2, i] = a10
-        linear[3, i] = a11
 
 
 @inlined
@@ -385,7 +377,7 @@ def _correct(
     for j in range(missed):
         i = which[j]
         at[i] = found[i]
-        _pull_back_one(table, at[i], x, y, u, v, linear, i, keep)
+        _apply_cell(table, at[i], x, y, u, v, linear, i, keep)
         p[j] = u[i]
         q[j] = v[i]
     _locate(p, q, found, missed, resolution)
@@ -393,7 +385,7 @@ def _correct(
         i = which[j]
         if found[j] != at[i]:
             at[i] = _walk(table, forms, neighbours, x[i], y[i], at[i])
-            _pull_back_one(table, at[i], x, y, u, v, linear, i, keep)
+            _apply_cell(table, at[i], x, y, u, v, linear, i, keep)
 
 
 def _compile(inverse: bool, jacobian: bool):
