@@ -37,7 +37,7 @@ from implicit_warp.lattice import BLOCK, Lattice, Sampler, lattice_for
 if TYPE_CHECKING:
     import trimesh
 
-NEAREST = 5e-3
+NEAREST = 1e-2
 """Closest that a vertex comes to an end of its lattice edge, in voxels."""
 
 _SLAB_POINTS = 1 << 22
