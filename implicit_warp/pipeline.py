@@ -94,19 +94,19 @@ def deform_to_files(
     from implicit_warp.extraction import extract
     from implicit_warp.progress import progress_bar
 
-    # Before the work: a path that cannot be written must not cost a solve.
-    targets = {
-        mesh_path: WRITABLE,
-        warp_path: (".safetensors",),
-        report_path: (".json",),
-        picture_path: (".png",),
-    }
-    named = [str(t) for t in (mesh_path, warp_path, report_path, picture_path) if t is not None]
-    if len(set(named)) < len(named):
-        raise InputError("path", named, "two results would share a file", "name them apart")
-    for target, suffixes in targets.items():
-        if target is not None:
-            refuse_target(target, suffixes)
+    # Before the work: a path or a resolution that will be refused must not cost a solve.
+    targets = [
+        (mesh_path, WRITABLE),
+        (warp_path, (".safetensors",)),
+        (report_path, (".json",)),
+        (picture_path, (".png",)),
+    ]
+    targets = [(str(path), suffixes) for path, suffixes in targets if path is not None]
+    paths = [path for path, _ in targets]
+    if len(set(paths)) < len(paths):
+        raise InputError("path", paths, "two results would share a file", "name them apart")
+    for path, suffixes in targets:
+        refuse_target(path, suffixes)
     lattice_for(shape, resolution, None)
     warp = elastic(shape, handles, options=options, progress=progress)
     if warp_path is not None:
