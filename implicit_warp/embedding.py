@@ -17,7 +17,7 @@ Three solvers, one meaning:
   (N-2)^2 unknowns with a nine-point stencil, and factors that M-matrix in banded form; the
   backward pass is one transposed solve with the same factors.  CPU, float64, first order.
 * `solve_schur`: the same elimination in torch, and a batched dense solve of what is left; for
-  accelerators.
+  accelerators, and wherever the torch back end is asked for.
 
 Guarantee: with exact arithmetic the result is injective for any parameters.  Non-guarantee:
 float64 rounding can spoil areas near 1e-16; `Warp` re-checks what it stores.
@@ -30,6 +30,7 @@ import math
 import torch
 from torch import Tensor
 
+from implicit_warp.evaluate import forced_back_end
 from implicit_warp.square_mesh import SquareMesh, mesh_tensor
 
 WEIGHT_FLOOR = 0.2
@@ -76,7 +77,8 @@ def embed(weights: Tensor, boundary: Tensor, mesh: SquareMesh) -> Tensor:
     Returns:
         (K, V, 2) vertex positions.
     """
-    if weights.device.type == "cpu" and weights.dtype == torch.float64:
+    on_cpu = weights.device.type == "cpu" and weights.dtype == torch.float64
+    if on_cpu and forced_back_end() != "torch":
         from implicit_warp.banded import solve_banded
 
         return solve_banded(weights, boundary, mesh)

@@ -296,3 +296,42 @@ def test_results_are_identical_from_run_to_run_and_in_blocks(seed):
     for i in range(2):
         assert torch.equal(first[i], again[i])
         assert torch.equal(first[i], torch.cat([part[i] for part in in_blocks]))
+
+
+@torch.no_grad()
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_back_ends_agree_to_rounding_on_a_million_points(dtype, seed):
+    warp = random_net(seed, layers=24, spread=1.0).freeze()
+    generator = torch.Generator().manual_seed(seed)
+    x = (4.0 * torch.rand(1_000_000, 3, generator=generator, dtype=torch.float64) - 2.0).to(dtype)
+    results = {}
+    for name in ("torch", "numba"):
+        with back_end(name):
+            results[name] = [*warp.call_and_jacobian(x), *warp.inv.call_and_jacobian(x)]
+    # One rounding of size eps |x| in each of 24 layers, magnified by at most the stretch of the
+    # layers that follow; its largest value over the samples is taken as what a point may see.
+    stretch = max(float(results["torch"][i].double().flatten(1).norm(dim=1).max()) for i in (1, 3))
+    tolerance = 24 * 4 * torch.finfo(dtype).eps * stretch
+    for which, (slow, fast) in enumerate(zip(results["torch"], results["numba"], strict=True)):
+        error = (slow - fast).double().abs().flatten(1).amax(1)
+        if which % 2 == 0:
+            assert error.max() < tolerance, f"result {which}, seed {seed}"
+        else:
+            # Within rounding of a crease the two may stand on different sides of it, and the
+            # share of space that close to one is 24 layers x 40 lines x the tolerance.
+            wrong = (error > stretch * tolerance).double().mean()
+            assert wrong < 24 * 40 * tolerance + 1e-6, f"result {which}, seed {seed}"
+
+
+@torch.no_grad()
+@pytest.mark.slow
+def test_ten_million_points_are_mapped_like_a_few(seed):
+    warp = random_net(seed, layers=2, resolution=5).freeze()
+    generator = torch.Generator().manual_seed(seed)
+    x = 2.0 * torch.rand(10_000_000, 3, generator=generator) - 1.0
+    y = warp(x)
+    back = warp.inv(y)
+    some = torch.randint(len(x), (1000,), generator=generator)
+    assert torch.equal(y[some], warp(x[some]))
+    assert torch.equal(back[some], warp.inv(y[some]))
