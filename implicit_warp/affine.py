@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from implicit_warp.certificate import Certificate, as_region
 from implicit_warp.errors import InputError
 from implicit_warp.layers import invert_affine
 from implicit_warp.maps import Map
+
+if TYPE_CHECKING:
+    from implicit_warp.layer_geometry import Transitions
+    from implicit_warp.local_bounds import LocalBounds
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -29,7 +36,10 @@ class Affine(Map):
     def __init__(self, linear=None, translation=(0.0, 0.0, 0.0)) -> None:
         linear = _array("linear", np.eye(3) if linear is None else linear, (3, 3))
         translation = _array("translation", translation, (3,))
-        if not np.linalg.det(linear) > 0:
+        from implicit_warp.orientation import determinant_signs
+
+        signs, self._orientation = determinant_signs(linear[None])
+        if signs[0] <= 0:
             raise InputError(
                 "linear",
                 linear.tolist(),
@@ -58,12 +68,35 @@ class Affine(Map):
 
     @property
     def lipschitz(self) -> tuple[float, float]:
-        """The largest singular value, and the inverse of the smallest."""
-        singular = torch.linalg.svdvals(self.matrix[:, :3])
-        return float(singular[0]) * (1.0 + 1e-15), (1.0 + 1e-15) / float(singular[-1])
+        """The largest singular value, and the inverse of the smallest, rounded upwards."""
+        return tuple(float(maps.norm[0]) for maps in self._bounded)
 
     def __repr__(self) -> str:
         return f"Affine({self.matrix[:, :3].tolist()}, {self.matrix[:, 3].tolist()})"
+
+    def _certify(self, box: np.ndarray | None) -> Certificate:
+        forward, backward = self.lipschitz
+        return Certificate(
+            repr(self),
+            True,
+            region=as_region(box),
+            by_filter=self._orientation.by_filter,
+            exactly=self._orientation.exactly,
+            singular_values=((1.0 / backward, forward),),
+        )
+
+    def _local_bounds(self, boxes: np.ndarray) -> LocalBounds:
+        return _affine_bounds(self._bounded[0], boxes)
+
+    def _local_bounds_of_inverse(self, boxes: np.ndarray) -> LocalBounds:
+        return _affine_bounds(self._bounded[1], boxes)
+
+    @cached_property
+    def _bounded(self) -> tuple[Transitions, Transitions]:
+        from implicit_warp.layer_geometry import bounded_affine
+
+        there, back = self.matrix[None].numpy(), self._inverse_matrix[None].numpy()
+        return bounded_affine(there), bounded_affine(there, back)
 
     def _forward(self, points: Tensor) -> Tensor:
         return _apply(self.matrix, points)[0]
@@ -160,6 +193,22 @@ def _array(argument: str, value, shape: tuple[int, ...]) -> np.ndarray:
     if not np.isfinite(array).all():
         raise InputError(argument, value, "not finite", "look for a division by zero")
     return array
+
+
+def _affine_bounds(maps: Transitions, boxes: np.ndarray) -> LocalBounds:
+    from implicit_warp.local_bounds import LocalBounds, middle_and_half
+
+    centres, halves = middle_and_half(boxes)
+    linear, offset, norm = maps.matrix[0, :, :3], maps.matrix[0, :, 3], float(maps.norm[0])
+    unit = 2.0**-53
+    images = centres @ linear.T + offset
+    off = (float(maps.error[0]) + 16.0 * unit * norm) * np.linalg.norm(centres, axis=1)
+    off += float(maps.offset_error[0]) + 8.0 * unit * np.abs(images).sum(1)
+    reach = np.linalg.norm(halves, axis=1) * (1.0 + 8.0 * unit)
+    across = halves @ np.abs(linear).T * (1.0 + 8.0 * unit) + float(maps.error[0]) * reach[:, None]
+    across += off[:, None]
+    image_boxes = np.stack([images - across, images + across], 1)
+    return LocalBounds(np.full(len(boxes), norm), images, norm * reach + off, image_boxes)
 
 
 def _apply(matrix: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:

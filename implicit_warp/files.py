@@ -1,12 +1,14 @@
 """Maps on disk (`.safetensors`), and writing that never leaves half a file.
 
 A map file holds float64 tensors, bit for bit, and string metadata: what it is, the format's
-version, the library's version, the units.  Nothing in it is executed when it is read.
+version, the library's version, the units, the map's certificate.  Nothing in it is executed when it
+is read; the certificate is proved anew and compared with the stored one.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import tempfile
@@ -17,7 +19,11 @@ from typing import Any
 import torch
 
 from implicit_warp.affine import Affine
+from implicit_warp.axial import AxialMap, Taper, Twist
+from implicit_warp.bend import Bend
+from implicit_warp.certificate import certify, disagreement
 from implicit_warp.errors import FileFormatError, InputError, NotInjective
+from implicit_warp.frames import refuse_non_rotations
 from implicit_warp.maps import Composition, Inverse, Map
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
@@ -89,11 +95,11 @@ def refuse_target(path: str | Path, suffixes: Sequence[str] = ()) -> None:
 
 
 def save(map_: Map, path: str | Path, *, units: str = "") -> None:
-    """Write a map to a `.safetensors` file.
+    """Write a map to a `.safetensors` file, with its certificate and a fingerprint of its numbers.
 
     Args:
-        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, or a composition
-            or inverse of these.
+        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, `Twist`, `Taper`
+            or `Bend`, or a composition or inverse of these.
         path: where to; written under a temporary name and renamed.
         units: a note on the units of the map's domain, such as "mm".
 
@@ -112,7 +118,9 @@ def save(map_: Map, path: str | Path, *, units: str = "") -> None:
         "library_version": implicit_warp.__version__,
         "units": units,
         "structure": json.dumps(structure),
+        "certificate": json.dumps(certify(map_).to_dict()),
     }
+    metadata["sha256"] = _digest(tensors, metadata["structure"])
     with atomic_write(path) as temporary:
         save_file(tensors, temporary, metadata=metadata)
 
@@ -122,19 +130,22 @@ def load(path: str | Path) -> Map:
 
     Raises:
         InputError: there is no such file.
-        FileFormatError: not a map file, truncated, or written by a newer version.
-        NotInjective: the stored layers fail their check.
+        FileFormatError: not a map file, truncated, altered since it was saved, or written by a
+            newer version.
+        NotInjective: the stored layers fail their proof, which is made anew.
     """
     tensors, metadata = _read(path)
     try:
         for name, tensor in tensors.items():
             if not bool(torch.isfinite(tensor).all()):
                 raise InputError(name, tuple(tensor.shape), "NaN or infinite values", "save anew")
-        return _rebuild(json.loads(metadata["structure"]), tensors)
-    except NotInjective:
+        map_ = _rebuild(json.loads(metadata["structure"]), tensors)
+        _refuse_altered(path, metadata, tensors, map_)
+    except (NotInjective, FileFormatError):
         raise
     except _DAMAGE as error:
         raise FileFormatError(f"{path}: the map's description is damaged ({error})") from error
+    return map_
 
 
 _DAMAGE = (
@@ -151,7 +162,7 @@ _DAMAGE = (
 
 
 def read_metadata(path: str | Path) -> dict[str, str]:
-    """The string metadata of a map file: format, version, units, structure."""
+    """The string metadata of a map file: format, version, units, structure, certificate."""
     return _read(path)[1]
 
 
@@ -213,6 +224,11 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
         return {"kind": "tuttenet", "tensors": names, "resolution": map_.resolution}
     if isinstance(map_, Affine):
         return {"kind": "affine", "tensors": store(matrix=map_.matrix)}
+    if isinstance(map_, AxialMap):
+        names = store(frame=map_.frame, origin=map_.origin)
+        numbers = {key: getattr(map_, key) for key in _AXIAL[type(map_)]}
+        kind = type(map_).__name__.lower()
+        return {"kind": kind, "tensors": names, "numbers": numbers}
     if isinstance(map_, Composition):
         return {"kind": "composition", "maps": [_describe(m, tensors) for m in map_.maps]}
     if isinstance(map_, Inverse):
@@ -221,7 +237,7 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
         "map_",
         type(map_).__name__,
         "maps of this kind have no file format",
-        "save a TutteNet, Warp, Affine, or a composition of them",
+        "save a TutteNet, Warp, Affine, Twist, Taper, Bend, or a composition of them",
     )
 
 
@@ -251,4 +267,49 @@ def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map
             net.theta_frames = torch.nn.Parameter(torch.zeros_like(parts["theta_frames"]))
         net.load_state_dict({"frames_at_start": start, **parts})
         return net
+    for axial in _AXIAL:
+        if kind == axial.__name__.lower():
+            frame, numbers = parts["frame"], structure["numbers"]
+            refuse_non_rotations("frame", frame[None])
+            map_ = axial(**numbers, origin=parts["origin"].tolist())
+            map_.frame = frame  # bit for bit, which making it from an axis again would not be
+            return map_
     raise FileFormatError(f"unknown kind of map {kind!r}")
+
+
+_AXIAL: dict[type[AxialMap], tuple[str, ...]] = {
+    Twist: ("degrees", "between"),
+    Taper: ("factors", "between"),
+    Bend: ("degrees", "between"),
+}
+"""The arguments of the axial maps beside their frame and origin."""
+
+
+def _digest(tensors: dict[str, torch.Tensor], structure: str) -> str:
+    """A fingerprint of everything that defines a saved map."""
+    digest = hashlib.sha256(structure.encode())
+    for name in sorted(tensors):
+        tensor = tensors[name].contiguous()
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _refuse_altered(path, metadata: dict[str, str], tensors: dict, map_: Map) -> None:
+    """Compare what the file says of its map with what the map is; old files say nothing."""
+    written = metadata.get("sha256")
+    if written is not None and written != _digest(tensors, metadata["structure"]):
+        raise FileFormatError(
+            f"{path}: the file was altered: its numbers are not those that were certified when it "
+            "was written. Write it again with implicit_warp.save"
+        )
+    if "certificate" in metadata:
+        stored = json.loads(metadata["certificate"])
+        if not isinstance(stored, dict):
+            raise FileFormatError(f"{path}: its certificate is damaged; save the map again")
+        difference = disagreement(stored, certify(map_))
+        if difference is not None:
+            raise FileFormatError(
+                f"{path}: the file was altered: in its certificate, {difference}. "
+                "Write it again with implicit_warp.save"
+            )

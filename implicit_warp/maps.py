@@ -13,13 +13,19 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from implicit_warp.certificate import Certificate, certify_in_turn, no_certificate
 from implicit_warp.errors import InputError
+
+if TYPE_CHECKING:
+    from implicit_warp.local_bounds import LocalBounds
 
 
 class Map(ABC):
@@ -69,10 +75,50 @@ class Map(ABC):
         """Lipschitz constants of the map and of its inverse on all of R^3; None if unknown."""
         return None, None
 
+    def lipschitz_on(self, boxes) -> np.ndarray:
+        """(n,) Lipschitz constants of the map on each box (n, 2, 3); see `local_bounds`."""
+        return self.local_bounds(boxes).lipschitz
+
+    def enclose_image(self, boxes) -> np.ndarray:
+        """(n, 2, 3) boxes that hold the images of boxes (n, 2, 3); see `local_bounds`."""
+        return self.local_bounds(boxes).boxes
+
+    def local_bounds(self, boxes) -> LocalBounds:
+        """What the map does to each of n boxes: its largest stretch there, and where they go.
+
+        The bounds are rigorous, rounding included, unless a kind of map says otherwise.  Those of
+        the inverse are ``map.inv.local_bounds(boxes)``.
+
+        Args:
+            boxes: (n, 2, 3) low and high corners.
+
+        Raises:
+            InputError: malformed boxes; a box leaves the map's domain; or nothing is known of the
+                map's Lipschitz constant.
+        """
+        from implicit_warp.local_bounds import checked_boxes
+
+        return self._local_bounds(checked_boxes(boxes))
+
     @cached_property
     def inv(self) -> Map:
         """The inverse, itself a map; ``m.inv.inv is m``."""
         return Inverse(self)
+
+    def _certify(self, box: np.ndarray | None) -> Certificate:
+        """What is proved of this map on a box (2, 3), or on all of space; see `certify`."""
+        return no_certificate(self, "nothing is known that proves maps of this kind", box)
+
+    def _certify_inverse(self, box: np.ndarray | None) -> Certificate:
+        """The same for the inverse.  What holds on all of space holds for the inverse as well."""
+        return self._certify(None).inverted(repr(self.inv), box)
+
+    def _local_bounds(self, boxes: np.ndarray) -> LocalBounds:
+        """`local_bounds` of checked boxes; here by the global constant."""
+        return _global_bounds(self, boxes)
+
+    def _local_bounds_of_inverse(self, boxes: np.ndarray) -> LocalBounds:
+        return _global_bounds(self.inv, boxes)
 
     def __matmul__(self, other: Map) -> Map:
         """The composition self after other."""
@@ -99,6 +145,18 @@ class Inverse(Map):
 
     def __repr__(self) -> str:
         return f"{self._original!r}.inv"
+
+    def _certify(self, box: np.ndarray | None) -> Certificate:
+        return self._original._certify_inverse(box)
+
+    def _certify_inverse(self, box: np.ndarray | None) -> Certificate:
+        return self._original._certify(box)
+
+    def _local_bounds(self, boxes: np.ndarray) -> LocalBounds:
+        return self._original._local_bounds_of_inverse(boxes)
+
+    def _local_bounds_of_inverse(self, boxes: np.ndarray) -> LocalBounds:
+        return self._original._local_bounds(boxes)
 
     def _forward(self, points: Tensor) -> Tensor:
         return self._original._inverse(points)
@@ -135,6 +193,18 @@ class Composition(Map):
     def __repr__(self) -> str:
         return " @ ".join(repr(m) for m in reversed(self.maps))
 
+    def _certify(self, box: np.ndarray | None) -> Certificate:
+        return certify_in_turn(self, self.maps, box)
+
+    def _certify_inverse(self, box: np.ndarray | None) -> Certificate:
+        return certify_in_turn(self.inv, [m.inv for m in reversed(self.maps)], box)
+
+    def _local_bounds(self, boxes: np.ndarray) -> LocalBounds:
+        return _bounds_in_turn(self.maps, boxes)
+
+    def _local_bounds_of_inverse(self, boxes: np.ndarray) -> LocalBounds:
+        return _bounds_in_turn([m.inv for m in reversed(self.maps)], boxes)
+
     def _forward(self, points: Tensor) -> Tensor:
         for m in self.maps:
             points = m._forward(points)
@@ -158,6 +228,35 @@ def _chain(points: Tensor, steps) -> tuple[Tensor, Tensor]:
         points, local = step(points)
         jacobian = local @ jacobian
     return points, jacobian
+
+
+def _global_bounds(map_: Map, boxes: np.ndarray) -> LocalBounds:
+    """By the map's global Lipschitz constant. The centres' images are rounded as the map rounds:
+    1e-12 of their size is allowed for that, which no unknown map can promise."""
+    from implicit_warp.local_bounds import ball_bounds, middle_and_half
+
+    constant = map_.lipschitz[0]
+    if constant is None:
+        raise InputError(
+            "map",
+            repr(map_),
+            "it knows no Lipschitz constant, so nothing bounds what it does to a box",
+            "use a kind of map that does",
+        )
+    centres, halves = middle_and_half(boxes)
+    images = map_(centres)
+    radii = constant * np.linalg.norm(halves, axis=1) + 1e-12 * np.linalg.norm(images, axis=1)
+    return ball_bounds(np.full(len(boxes), constant), images, radii * (1.0 + 1e-14))
+
+
+def _bounds_in_turn(maps: Iterable[Map], boxes: np.ndarray) -> LocalBounds:
+    """Products of the parts' constants, each on a box around the image under those before it."""
+    product = np.ones(len(boxes))
+    for m in maps:
+        bounds = m._local_bounds(boxes)
+        product = product * bounds.lipschitz * (1.0 + 2.0**-52)
+        boxes = bounds.boxes
+    return replace(bounds, lipschitz=product)
 
 
 def flatten_points(points):

@@ -19,6 +19,7 @@ import torch
 
 import implicit_warp
 from fields import Field
+from implicit_warp.certificate import certify
 from implicit_warp.deformation import deform
 from implicit_warp.elastic_solve import ElasticOptions, elastic
 from implicit_warp.errors import InputError
@@ -145,7 +146,8 @@ def deform_to_files(
 
 
 def describe_map(warp: Warp, bounds: np.ndarray | None) -> dict[str, Any]:
-    """Facts about a map in plain values; det J over random points of a box, if one is given."""
+    """Facts about a map in plain values, with its certificate; det J over random points of a box,
+    if one is given."""
     forward, backward = warp.lipschitz
     facts: dict[str, Any] = {
         "layers": warp.n_layers,
@@ -153,6 +155,7 @@ def describe_map(warp: Warp, bounds: np.ndarray | None) -> dict[str, Any]:
         "smallest_area": warp.smallest_area,
         "lipschitz_bound": forward,
         "lipschitz_bound_of_inverse": backward,
+        "certificate": certify(warp).to_dict(),
     }
     if bounds is not None:
         facts["smallest_determinant"] = smallest_determinant(warp, bounds)

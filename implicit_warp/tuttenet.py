@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,13 +10,15 @@ import torch
 from torch import Tensor, nn
 
 from implicit_warp import embedding, evaluate
-from implicit_warp.errors import InputError
+from implicit_warp.certificate import Certificate, no_certificate
+from implicit_warp.errors import InputError, NotInjective
 from implicit_warp.frames import make_frames, turn
 from implicit_warp.layers import LayerStack, fuse_frames
 from implicit_warp.maps import Map
 from implicit_warp.square_mesh import SquareMesh, square_mesh
 
 if TYPE_CHECKING:
+    from implicit_warp.local_bounds import LocalBounds
     from implicit_warp.warp import Warp
 
 BOUNDARIES = ("free", "fixed")
@@ -134,6 +137,18 @@ class TutteNet(Map, nn.Module):
 
         with torch.no_grad():
             return Warp(self.embeddings(), self.frames())
+
+    def _certify(self, box: np.ndarray | None) -> Certificate:
+        try:
+            return replace(self.freeze()._certify(box), map=repr(self))
+        except (InputError, NotInjective) as error:
+            return no_certificate(self, str(error), box)
+
+    def _local_bounds(self, boxes: np.ndarray) -> LocalBounds:
+        return self.freeze()._local_bounds(boxes)
+
+    def _local_bounds_of_inverse(self, boxes: np.ndarray) -> LocalBounds:
+        return self.freeze()._local_bounds_of_inverse(boxes)
 
     def _forward(self, points: Tensor) -> Tensor:
         return evaluate.forward(self.stack(), points)

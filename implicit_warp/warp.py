@@ -5,18 +5,22 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from implicit_warp import evaluate
-from implicit_warp.errors import InputError, NotInjective
+from implicit_warp.errors import InputError
 from implicit_warp.frames import refuse_non_rotations
 from implicit_warp.layers import LayerStack, fuse_frames
 from implicit_warp.maps import Map
 from implicit_warp.square_mesh import SquareMesh, square_mesh
 
 if TYPE_CHECKING:
+    from implicit_warp.certificate import Certificate
     from implicit_warp.elastic_solve import SolveReport
+    from implicit_warp.local_bounds import LocalBounds
+    from implicit_warp.orientation import Decided
 
 
 class Warp(Map):
@@ -34,10 +38,12 @@ class Warp(Map):
 
     Raises:
         InputError: shapes that do not fit, or values that are not finite.
-        NotInjective: a triangle or cone of a layer has no positive oriented area.
+        NotInjective: a layer is not proved to be a homeomorphism.
 
-    Guarantee: every oriented area, computed in float64, is positive.  Non-guarantee: areas within
-    rounding (about 1e-16) of zero are not decided exactly.
+    Guarantee: the exact map that the stored numbers define is a homeomorphism of R^3: orientations
+    and determinants have been decided without rounding (`orientation` states the theorem, `certify`
+    reports).  Non-guarantee: evaluation rounds, so that points within rounding of each other can
+    get equal images.
     """
 
     def __init__(
@@ -57,21 +63,12 @@ class Warp(Map):
         self.before = _frozen("before", unit if before is None else before, (3, 4)).to(device)
         self.after = _frozen("after", unit if after is None else after, (3, 4)).to(device)
         self.report = report
-        for name in ("before", "after"):
-            determinant = float(torch.linalg.det(getattr(self, name)[:, :3]))
-            if not determinant > 0:
-                raise InputError(
-                    name,
-                    getattr(self, name).tolist(),
-                    f"its determinant {determinant:.3g} is not positive",
-                    "affine parts must keep the orientation of space",
-                )
         self._stack = LayerStack(
             _mesh_of(self.embeddings),
             self.embeddings,
             fuse_frames(self.frames, self.before, self.after),
         )
-        self._check_areas()
+        self._orientations = self._prove()
 
     @property
     def mesh(self) -> SquareMesh:
@@ -103,8 +100,11 @@ class Warp(Map):
 
     @cached_property
     def smallest_area(self) -> float:
-        """Twice the smallest oriented area over all layers, triangles and cones alike."""
-        return float(self._stack.oriented_areas.min())
+        """Twice the smallest oriented area over all layers, triangles and cones alike: the exact
+        value, rounded once."""
+        from implicit_warp.orientation import smallest_area
+
+        return float(smallest_area(self.embeddings.cpu().numpy(), self.mesh))
 
     @cached_property
     def lipschitz(self) -> tuple[float, float]:
@@ -113,19 +113,57 @@ class Warp(Map):
         They hold on the whole of R^3 and grow with every layer, so they are far above what a
         typical pair of points sees.
         """
-        return (
-            _stretch(self._stack.tables, self._stack.transitions),
-            _stretch(self._stack.inverse_tables, self._stack.inverse_transitions),
+        from implicit_warp.layer_geometry import FORWARD, INVERSE, geometry
+
+        return tuple(geometry(self._stack, way).lipschitz for way in (FORWARD, INVERSE))
+
+    def _prove(self) -> Decided:
+        """Prove the map injective, or raise; how the signs were found."""
+        from implicit_warp.orientation import Decided, determinant_signs, prove_layers
+
+        affine = torch.stack([self.before, self.after])[:, :, :3]
+        matrices = torch.cat([self.frames, affine]).cpu().numpy()
+        signs, of_matrices = determinant_signs(matrices)
+        names = ["frames"] * self.n_layers + ["before", "after"]
+        for name, sign, matrix in zip(names, signs, matrices, strict=True):
+            if sign <= 0:
+                raise InputError(
+                    name,
+                    matrix.tolist(),
+                    f"its determinant {np.linalg.det(matrix):.3g} is not positive",
+                    "affine parts must keep the orientation of space",
+                )
+        of_cells = prove_layers(self.embeddings.cpu().numpy(), self.mesh)
+        return Decided(*(a + b for a, b in zip(of_matrices, of_cells, strict=True)))
+
+    def _certify(self, box: np.ndarray | None) -> Certificate:
+        from implicit_warp.certificate import Certificate, as_region
+        from implicit_warp.layer_geometry import FORWARD, INVERSE, geometry
+
+        largest = geometry(self._stack, FORWARD).largest
+        smallest = 1.0 / geometry(self._stack, INVERSE).largest[::-1]
+        return Certificate(
+            repr(self),
+            True,
+            region=as_region(box),
+            by_filter=self._orientations.by_filter,
+            exactly=self._orientations.exactly,
+            smallest_area=self.smallest_area,
+            smallest_area_sign=1,
+            singular_values=tuple(zip(smallest.tolist(), largest.tolist(), strict=True)),
         )
 
-    def _check_areas(self) -> None:
-        areas = self._stack.oriented_areas
-        bad = (~(areas > 0)).nonzero()
-        if len(bad):
-            layer, cell = (int(i) for i in bad[0])
-            n = self.mesh.n_triangles
-            kind, index = ("triangle", cell) if cell < n else ("cone", cell - n)
-            raise NotInjective(layer, index, kind, float(areas[layer, cell]))
+    def _local_bounds(self, boxes: np.ndarray) -> LocalBounds:
+        return self._layered_bounds(boxes, inverse=False)
+
+    def _local_bounds_of_inverse(self, boxes: np.ndarray) -> LocalBounds:
+        return self._layered_bounds(boxes, inverse=True)
+
+    def _layered_bounds(self, boxes: np.ndarray, inverse: bool) -> LocalBounds:
+        from implicit_warp.layer_geometry import geometry
+        from implicit_warp.local_lipschitz import layered_bounds
+
+        return layered_bounds(geometry(self._stack, inverse), self.mesh.n_triangles, boxes)
 
     def _forward(self, points: Tensor) -> Tensor:
         return evaluate.forward(self._stack, points)
@@ -174,13 +212,3 @@ def _mesh_of(embeddings: Tensor) -> SquareMesh:
             "V must be N^2 + (N-1)^2",
         )
     return square_mesh(resolution)
-
-
-def _stretch(tables: Tensor, transitions: Tensor) -> float:
-    a, b, c, d = tables[..., :4].unbind(-1)
-    # Largest singular value of [[a, b], [c, d]].
-    largest = 0.5 * (torch.hypot(a + d, c - b) + torch.hypot(a - d, b + c))
-    layers = largest.amax(-1).clamp(min=1.0)  # the normal keeps its length
-    between = torch.linalg.matrix_norm(transitions[..., :3], 2)
-    # The margin covers the rounding of a few hundred float64 operations.
-    return float(layers.prod() * between.prod()) * (1.0 + 1e-12)

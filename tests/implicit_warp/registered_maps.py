@@ -12,6 +12,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from implicit_warp.affine import Affine, rigid_motion
+from implicit_warp.axial import AxialMap, Taper, Twist
+from implicit_warp.bend import Bend
 from implicit_warp.maps import Composition, Inverse, Map
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
@@ -52,6 +54,27 @@ def random_warp(seed: int, **options) -> Warp:
         )
 
 
+def random_axis(seed: int) -> dict:
+    """A random axis and origin."""
+    rng = np.random.default_rng(seed)
+    return {"axis": rng.normal(size=3), "origin": rng.uniform(-0.5, 0.5, 3)}
+
+
+def random_bend(seed: int) -> Bend:
+    """A bend by 60 degrees whose domain holds the ball of radius 3.5 about the origin."""
+    towards = np.random.default_rng(seed + 1).normal(size=3)
+    return Bend(60.0, **random_axis(seed), between=(-2.0, 2.5), towards=towards)
+
+
+def within(m: Map, points: torch.Tensor) -> torch.Tensor:
+    """Those of the points (n, 3) at which a map is defined: all, but for bends."""
+    if isinstance(m, Bend):
+        return points[torch.from_numpy(m.contains(points))]
+    if isinstance(m, Inverse) and isinstance(m.inv, Bend):
+        return points[torch.from_numpy(m.inv.image_contains(points))]
+    return points
+
+
 BUILDERS: dict[str, Callable[[int], Map]] = {
     "affine": random_affine,
     "rigid": lambda seed: rigid_motion(((1.0, 2.0, seed % 7), 50.0), (0.1, 0.2, 0.3)),
@@ -64,6 +87,11 @@ BUILDERS: dict[str, Callable[[int], Map]] = {
     "warp": random_warp,
     "inverse": lambda seed: random_warp(seed).inv,
     "composition": lambda seed: random_warp(seed) @ random_affine(seed) @ random_warp(seed + 1).inv,
+    "twist": lambda seed: Twist(20.0, **random_axis(seed)),
+    "twist on a range": lambda seed: Twist(-90.0, "y", between=(-0.5, 0.7)),
+    "taper": lambda seed: Taper((1.2, 0.4), **random_axis(seed), between=(-1.0, 1.5)),
+    "bend": random_bend,
+    "axial composition": lambda seed: Twist(30.0) @ Taper((0.5, 0.8)) @ random_affine(seed),
 }
 
-COVERED = (Affine, TutteNet, Warp, Inverse, Composition)
+COVERED = (Affine, TutteNet, Warp, Inverse, Composition, AxialMap, Twist, Taper, Bend)
