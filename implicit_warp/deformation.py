@@ -15,6 +15,8 @@ from implicit_warp.maps import Map
 if TYPE_CHECKING:
     import trimesh
 
+    from implicit_warp.push_forward.methods import Method, Progress
+
 _LATTICE = 48
 """Samples a side of the lattice from which the bounds of a deformed field are estimated."""
 
@@ -22,12 +24,20 @@ _LATTICE = 48
 @overload
 def deform(thing: Field, map_: Map) -> Field: ...
 @overload
-def deform(thing: trimesh.Trimesh, map_: Map) -> trimesh.Trimesh: ...
+def deform(
+    thing: trimesh.Trimesh,
+    map_: Map,
+    *,
+    method: Method = "vertices",
+    tolerance: float | None = None,
+    until_clean: bool = False,
+    progress: Progress | None = None,
+) -> trimesh.Trimesh: ...
 @overload
 def deform(thing: Tensor, map_: Map) -> Tensor: ...
 
 
-def deform(thing, map_: Map):
+def deform(thing, map_: Map, *, method: Method = "vertices", **options):
     """Carry a field, a mesh or points forward by an injective map f.
 
     * Points (..., 3): their images f(x).
@@ -35,22 +45,34 @@ def deform(thing, map_: Map):
       distance any more; its Lipschitz tag is that of s times that of f^-1 where both are known.
       Its bounds are estimated from a lattice of samples, with a margin for what lies between
       them; `extract` reports a surface that reaches the edge of its box all the same.
-    * A mesh: a copy whose vertices are mapped and whose faces stay flat.  That is what the paper
-      does, and it carries **no guarantee**: the map is injective on space, but a flat triangle is
-      not the image of a triangle, so a coarse mesh can come out with self-intersections.  Check
-      it, refine it first, or deform the field instead.
+    * A mesh: `method` says how, and what is guaranteed.  By "vertices", the default, vertices are
+      mapped and faces stay flat.  That is what the paper does, and it carries **no guarantee**: the
+      map is injective on space, but a flat triangle is not the image of a triangle, so a coarse
+      mesh can come out with self-intersections.  "adaptive" divides faces until their images are
+      within a tolerance of flat, for any map.  "exact" cuts them along the creases of a warp, so
+      that the result is the image itself, and as free of self-intersections as the mesh was.
+      `deform_mesh` explains all three, their options, and returns a report as well.
 
     Raises:
-        InputError: the first argument is none of these, or the second is no map.
+        InputError: the first argument is none of these, the second is no map, or a method or option
+            that does not fit them.
     """
     if not isinstance(map_, Map):
         raise InputError("map_", map_, "not a map", "pass a Warp, TutteNet, Affine, ...")
+    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+        if method == "vertices" and not options:
+            moved = thing.copy()
+            moved.vertices = map_(np.asarray(thing.vertices, dtype=np.float64))
+            return moved
+        from implicit_warp.push_forward import deform_mesh
+
+        return deform_mesh(thing, map_, method, **options)[0]
+    if method != "vertices" or options:
+        raise InputError(
+            "method", method, "methods and their options are for meshes only", "leave them out"
+        )
     if isinstance(thing, Field):
         return _deform_field(thing, map_)
-    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
-        moved = thing.copy()
-        moved.vertices = map_(np.asarray(thing.vertices, dtype=np.float64))
-        return moved
     if isinstance(thing, Tensor | np.ndarray | list | tuple):
         return map_(thing)
     raise InputError(
