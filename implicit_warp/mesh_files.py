@@ -71,11 +71,10 @@ def write_mesh(mesh: trimesh.Trimesh, path: str | Path) -> None:
 
 def merge_equal_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Make vertices with bitwise equal coordinates one, in order of first appearance."""
-    # Adding zero turns -0.0 into 0.0, which is the same place.
-    vertices = np.ascontiguousarray(np.asarray(vertices) + 0.0)
-    rows = vertices.view([("", vertices.dtype)] * 3).ravel()
-    _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    return vertices[first[order]], rank[inverse][np.asarray(faces)]
+    from implicit_warp.checking.equal_vertices import first_of_equal
+
+    vertices = np.asarray(vertices)
+    first = first_of_equal(vertices)
+    kept = first == np.arange(len(first))
+    rank = np.cumsum(kept) - 1
+    return vertices[kept], rank[first][np.asarray(faces)]

@@ -14,6 +14,8 @@ other modules. After editing `predicates` or `pair_filter`, delete this folder's
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
@@ -34,17 +36,18 @@ def morton_order(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray
 
 
 @kernel
-def face_boxes(vertices, faces):
-    """Lower and upper corners, each `(F, 3)`, of the faces' axis-aligned boxes."""
-    low = np.empty((len(faces), 3))
-    high = np.empty((len(faces), 3))
-    for f in range(len(faces)):
+def face_boxes(vertices, faces, chosen):
+    """Lower and upper corners, each `(n, 3)`, of the axis-aligned boxes of chosen faces `(n,)`."""
+    low = np.empty((len(chosen), 3))
+    high = np.empty((len(chosen), 3))
+    for i in range(len(chosen)):
+        f = chosen[i]
         for k in range(3):
             x = vertices[faces[f, 0], k]
             y = vertices[faces[f, 1], k]
             z = vertices[faces[f, 2], k]
-            low[f, k] = min(x, y, z)
-            high[f, k] = max(x, y, z)
+            low[i, k] = min(x, y, z)
+            high[i, k] = max(x, y, z)
     return low, high
 
 
@@ -94,6 +97,36 @@ def build_tree(low, high):
     return nodes
 
 
+@dataclass(frozen=True)
+class BoxTree:
+    """Faces in the order of a space-filling curve, their boxes, and the tree above them.
+
+    Attributes:
+        faces: `(F,)` the faces by number, in the order of the curve.
+        low: `(F, 3)` lower corners of their boxes, in that order.
+        high: `(F, 3)` upper corners.
+        nodes: as from `build_tree`.
+    """
+
+    faces: NDArray[np.int64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    nodes: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int64],
+        chosen: NDArray[np.int64],
+    ) -> BoxTree:
+        """The tree of the faces numbered by `chosen`, one or more of `faces` `(F, 3)`."""
+        low, high = face_boxes(vertices, faces, chosen)
+        order = morton_order(low, high)
+        low, high = low[order], high[order]
+        return cls(chosen[order], low, high, build_tree(low, high))
+
+
 @kernel
 def _boxes_apart(low, high, f, g):
     return (
@@ -118,9 +151,56 @@ def _nodes_apart(nodes, m, n):
     )
 
 
+@kernel
+def faces_over(nodes, low, high, points):
+    """Pairs (point, box) of all boxes that the vertical half-line up from a point meets, `(n, 2)`.
+
+    `points` is `(P, 3)`; boxes are numbered in the order of the tree.
+    """
+    leaves = len(nodes) // 2
+    stack = np.empty(64, np.int64)
+    found = np.empty((16, 2), np.int64)
+    count = 0
+    for p in range(len(points)):
+        x, y, z = points[p]
+        stack[0] = 1
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            node = stack[depth]
+            if (
+                not (nodes[node, 0] <= x <= nodes[node, 3])
+                or not (nodes[node, 1] <= y <= nodes[node, 4])
+                or nodes[node, 5] < z
+            ):
+                continue
+            if node < leaves:
+                stack[depth] = 2 * node
+                stack[depth + 1] = 2 * node + 1
+                depth += 2
+                continue
+            begin = (node - leaves) * LEAF
+            for f in range(begin, min(begin + LEAF, len(low))):
+                if (
+                    low[f, 0] <= x <= high[f, 0]
+                    and low[f, 1] <= y <= high[f, 1]
+                    and z <= high[f, 2]
+                ):
+                    if count == len(found):
+                        larger = np.empty((2 * count, 2), np.int64)
+                        larger[:count] = found
+                        found = larger
+                    found[count, 0] = p
+                    found[count, 1] = f
+                    count += 1
+    return found[:count]
+
+
 @parallel_kernel
-def scan_pairs(vertices, faces, low, high, nodes, offsets, pairs, verdicts, limit):
+def scan_pairs(vertices, faces, order, low, high, nodes, offsets, pairs, verdicts, limit):
     """Judge all overlapping pairs and record those that are not certainly clear.
+
+    `order`, `low`, `high` and `nodes` are what a `BoxTree` holds; pairs are of faces by number.
 
     The leaves are split into `len(offsets) - 1` chunks, worked on in parallel. Chunk c
     writes into the slots `offsets[c]` to `offsets[c + 1]` of `pairs (n, 2)` and `verdicts
@@ -128,7 +208,7 @@ def scan_pairs(vertices, faces, low, high, nodes, offsets, pairs, verdicts, limi
 
     Returns the records found and the pairs judged, one entry each a chunk.
     """
-    n = len(faces)
+    n = len(order)
     leaves = len(nodes) // 2
     used_leaves = (n + LEAF - 1) // LEAF
     chunks = len(offsets) - 1
@@ -164,13 +244,13 @@ def scan_pairs(vertices, faces, low, high, nodes, offsets, pairs, verdicts, limi
                             if _boxes_apart(low, high, f, g):
                                 continue
                             tests += 1
-                            verdict = pair_verdict(vertices, faces, f, g)
+                            verdict = pair_verdict(vertices, faces, order[f], order[g])
                             if verdict == CLEAR:
                                 continue
                             slot = offsets[chunk] + count
                             if slot < offsets[chunk + 1]:
-                                pairs[slot, 0] = f
-                                pairs[slot, 1] = g
+                                pairs[slot, 0] = order[f]
+                                pairs[slot, 1] = order[g]
                                 verdicts[slot] = verdict
                             count += 1
                 # Climb to the next ancestor with a sibling on its right.

@@ -8,12 +8,12 @@ the filter, and the referee wherever an answer is in doubt.
 Two faces *intersect* when the closed triangles have a point in common outside the hull of
 the vertices that they share by index (nothing, a vertex, or an edge). Three shared vertices
 make a `DUPLICATE`. A zero-area face counts as what it is, the closed segment or the point
-that its corners span.
+that its corners span. How they intersect is one of the kinds of `IntersectionKind`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from fractions import Fraction
 
@@ -24,24 +24,29 @@ Point = tuple[int, int, int]
 RationalPoint = tuple[Fraction, ...]
 
 _PLANES = ((1, 2), (2, 0), (0, 1))
+_MET, _PIERCED = 1, 2
 
 
 class IntersectionKind(IntEnum):
-    """How two faces intersect. Zero, `NONE`, when they do not."""
+    """How two faces intersect; each pair has one kind. Zero, `NONE`, when they do not.
+
+    *Insides* are the triangles without their edges.
+    """
 
     NONE = 0
     CROSSING = 1
-    """The insides of the two pass through each other."""
-    TOUCHING = 2
-    """Contact in a point or along an edge, not in one plane."""
-    COPLANAR = 3
-    """Both lie in one plane and overlap or touch there."""
-    FOLD = 4
-    """Two faces with a common edge, folded flat onto each other."""
+    """The insides pass through each other, in two planes; with or without a common vertex."""
+    OVERLAP = 2
+    """In one plane, without a common vertex, and the insides have an area in common."""
+    FOLD = 3
+    """In one plane, with a common vertex or edge, and the insides have an area in common."""
+    TOUCHING = 4
+    """Contact, beyond what they share by index, that leaves the insides apart: a corner or an
+    edge of one on the other, in one plane or in two."""
     DUPLICATE = 5
-    """Two faces with the same three vertices."""
+    """The same three vertices, by index and in any order."""
     DEGENERATE = 6
-    """At least one of the two has zero area."""
+    """One of the two, at least, has zero area, and they meet beyond what they share."""
 
 
 def integer_points(points: NDArray[np.float64]) -> list[Point]:
@@ -84,6 +89,15 @@ def visible_axis(a: Point, b: Point, c: Point) -> int | None:
     return None
 
 
+def volume_sign(points: Sequence[Point], faces: Iterable[Sequence[int]]) -> int:
+    """Sign of the volume that closed faces enclose; positive when they face outwards."""
+    total = 0
+    for f in faces:
+        a, b, c = (points[i] for i in f)
+        total += _dot(a, _cross(b, c))
+    return sign(total)
+
+
 def decide(points: Sequence[Point], face: Sequence[int], other: Sequence[int]) -> IntersectionKind:
     """Whether and how two faces intersect, exactly.
 
@@ -108,11 +122,11 @@ def decide(points: Sequence[Point], face: Sequence[int], other: Sequence[int]) -
         meet = _meet_outside(first, second, shared)
         return IntersectionKind.DEGENERATE if meet else IntersectionKind.NONE
     if len(common) == 2:
+        # Beyond the common edge the two meet only when folded flat onto each other.
         p, q, c = first
         d = second[2]
-        if orient3d(p, q, c, d) != 0 or orient2d(p, q, c, axis) != orient2d(p, q, d, axis):
-            return IntersectionKind.NONE
-        return IntersectionKind.FOLD
+        flat = orient3d(p, q, c, d) == 0 and orient2d(p, q, c, axis) == orient2d(p, q, d, axis)
+        return IntersectionKind.FOLD if flat else IntersectionKind.NONE
     if len(common) == 1:
         # Both faces are star-shaped about the common corner: if they share another point, they
         # share the last one on the ray through it, which lies on an edge opposite the corner.
@@ -126,12 +140,14 @@ def decide(points: Sequence[Point], face: Sequence[int], other: Sequence[int]) -
             for p, t, t_axis in ((first, second, other_axis), (second, first, axis))
             for k in range(3)
         )
-    if IntersectionKind.CROSSING in contacts:
+    if _PIERCED in contacts:
         return IntersectionKind.CROSSING
     if not any(contacts):
         return IntersectionKind.NONE
     if all(orient3d(*first, x) == 0 for x in second):
-        return IntersectionKind.COPLANAR
+        if not _insides_overlap(first, second, axis):
+            return IntersectionKind.TOUCHING
+        return IntersectionKind.FOLD if common else IntersectionKind.OVERLAP
     # No edge pierces the other's inside, yet edges may cross edges: then the common segment has
     # a length, and neither triangle lies on one side of the other.
     through = (
@@ -148,24 +164,38 @@ def _straddles(triangle: Sequence[Point], other: Sequence[Point]) -> bool:
     return min(sides) < 0 < max(sides)
 
 
-def _segment_triangle(p: Point, q: Point, triangle: Sequence[Point], axis: int) -> IntersectionKind:
-    """Contact of the closed segment pq with a closed triangle of non-zero area along `axis`."""
+def _insides_overlap(first: Sequence[Point], second: Sequence[Point], axis: int) -> bool:
+    """Whether two triangles of one plane, seen along `axis`, have an area in common.
+
+    If not, the line of an edge of one of them has the other on its outer side or on itself.
+    """
+    for triangle, other in ((first, second), (second, first)):
+        turn = orient2d(*triangle, axis)
+        for k in range(3):
+            s, e = triangle[k - 1], triangle[k]
+            if all(orient2d(s, e, x, axis) * turn <= 0 for x in other):
+                return False
+    return True
+
+
+def _segment_triangle(p: Point, q: Point, triangle: Sequence[Point], axis: int) -> int:
+    """Contact of the closed segment pq with a closed triangle of non-zero area along `axis`.
+
+    Zero for none, `_PIERCED` where the segment's inside goes through the triangle's, else `_MET`.
+    """
     a, b, c = triangle
     side_p, side_q = orient3d(a, b, c, p), orient3d(a, b, c, q)
     if side_p * side_q > 0:
-        return IntersectionKind.NONE
+        return 0
     if side_p == 0 and side_q == 0:
         turn = orient2d(a, b, c, axis)
         edges = ((a, b), (b, c), (c, a))
         inside = any(all(orient2d(s, e, x, axis) * turn >= 0 for s, e in edges) for x in (p, q))
-        meet = inside or any(_segments_meet(p, q, s, e, axis) for s, e in edges)
-        return IntersectionKind.COPLANAR if meet else IntersectionKind.NONE
+        return _MET if inside or any(_segments_meet(p, q, s, e, axis) for s, e in edges) else 0
     turns = (orient3d(p, q, a, b), orient3d(p, q, b, c), orient3d(p, q, c, a))
     if max(turns) > 0 and min(turns) < 0:
-        return IntersectionKind.NONE
-    if side_p * side_q < 0 and 0 not in turns:
-        return IntersectionKind.CROSSING
-    return IntersectionKind.TOUCHING
+        return 0
+    return _PIERCED if side_p * side_q < 0 and 0 not in turns else _MET
 
 
 def _segments_meet(p: Point, q: Point, a: Point, b: Point, axis: int) -> bool:

@@ -1,8 +1,9 @@
 """From what the caller has (a mesh object, a path) to the two arrays that are checked.
 
 The arrays are taken as they are: nothing is merged, dropped or reordered, because a checker
-that repairs first has nothing left to find. The one exception is STL, which stores no
-connectivity at all (see `mesh_files.read_mesh`).
+that repairs first has nothing left to find. The exceptions are files whose format cannot say which
+corners are one vertex: STL stores no connectivity at all (see `mesh_files.read_mesh`), and glTF
+stores a vertex once for each normal and texture coordinate that it has.
 """
 
 from __future__ import annotations
@@ -19,14 +20,17 @@ from implicit_warp.errors import InputError
 if TYPE_CHECKING:
     import trimesh
 
+SPLITTING_FORMATS = (".glb", ".gltf")
+"""Suffixes of files that must store a vertex again for each normal and texture coordinate."""
+
 
 def mesh_arrays(
-    mesh: trimesh.Trimesh | str | os.PathLike[str],
+    mesh: trimesh.Trimesh | str | os.PathLike[str], *, merge_vertices: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices `(V, 3)` and faces `(F, 3)` of a mesh object or file.
 
-    Files are read unprocessed. In an STL file the vertices with equal coordinates are merged,
-    since that format cannot say which corners are the same vertex.
+    Files are read unprocessed. Vertices with equal coordinates are made one where the file's
+    format cannot say which corners are the same vertex (STL, GLB, glTF), or if `merge_vertices`.
 
     Raises:
         InputError: not a mesh, no such file, or bad arrays.
@@ -35,7 +39,9 @@ def mesh_arrays(
     if isinstance(mesh, str | os.PathLike):
         from implicit_warp.mesh_files import read_mesh
 
-        mesh = read_mesh(Path(mesh))
+        path = Path(mesh)
+        merge_vertices |= path.suffix.lower() in SPLITTING_FORMATS
+        mesh = read_mesh(path)
     try:
         vertices, faces = mesh.vertices, mesh.faces
     except AttributeError:
@@ -45,7 +51,12 @@ def mesh_arrays(
             f"a {type(mesh).__name__} has no vertices and faces",
             "Pass a trimesh.Trimesh or the path of a mesh file",
         ) from None
-    return validated(vertices, faces)
+    vertices, faces = validated(vertices, faces)
+    if merge_vertices:
+        from implicit_warp.mesh_files import merge_equal_vertices
+
+        vertices, faces = merge_equal_vertices(vertices, faces)
+    return vertices, faces
 
 
 def validated(
@@ -77,8 +88,8 @@ def validated(
             "faces are integers of shape (F, 3)",
             "Triangulate polygons first, and pass indices as integers",
         )
-    bad = (corners < 0) | (corners >= len(points))
-    if bad.any():
+    if corners.size and (corners.min() < 0 or corners.max() >= len(points)):
+        bad = (corners < 0) | (corners >= len(points))
         face = int(np.flatnonzero(bad.any(axis=1))[0])
         raise InputError(
             "faces",

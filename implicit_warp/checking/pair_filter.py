@@ -5,13 +5,13 @@
 made of: nearly all candidate pairs are neighbours, and on flat-sided parts these lie in one
 plane, where every 3D orientation is unsure but some projection separates them.
 
-Zero-area faces need no special care: a certain sign is never obtained from a degenerate
-triple, so such a pair is either separated by something certain or left unsure.
+A zero-area face is never the face that is certainly pierced, since no certain sign comes from a
+degenerate triple, but its edge may pierce the other: a `CROSSING` needs certain areas too.
 """
 
 from __future__ import annotations
 
-from implicit_warp.checking.predicates import orient2d, orient3d, side_of_plane
+from implicit_warp.checking.predicates import has_area, orient2d, orient3d, side_of_plane
 from implicit_warp.jit import kernel
 
 CLEAR = 0
@@ -36,7 +36,10 @@ def pair_verdict(v, faces, f, g):
     if count == 3:
         return DUPLICATE
     if count == 0:
-        return _apart(v, a0, a1, a2, b0, b1, b2)
+        verdict = _apart(v, a0, a1, a2, b0, b1, b2)
+        if verdict == CROSSING and not (has_area(v, a0, a1, a2) and has_area(v, b0, b1, b2)):
+            return UNSURE_PAIR
+        return verdict
     # Rotate both faces so that the odd vertex out (shared or not) comes first.
     if shared_a1 == shared_a2:
         p, q, r = a0, a1, a2
@@ -51,7 +54,10 @@ def pair_verdict(v, faces, f, g):
             s, t = b2, b0
         else:
             s, t = b0, b1
-        return _common_vertex(v, p, q, r, s, t)
+        verdict = _common_vertex(v, p, q, r, s, t)
+        if verdict == CROSSING and not (has_area(v, p, q, r) and has_area(v, p, s, t)):
+            return UNSURE_PAIR
+        return verdict
     if not shared_b0:
         opposite = b0
     elif not shared_b1:

@@ -37,6 +37,11 @@ _BOUND_3D = (7.0 + 56.0 * UNIT_ROUNDOFF) * UNIT_ROUNDOFF
 _BOUND_SIDE = 8.0 * UNIT_ROUNDOFF
 
 
+def finite_or_zero(points: NDArray[np.float64], finite: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """The points `(n, 3)`, with zeros in the rows that are not flagged; no copy if all are."""
+    return points if finite.all() else np.where(finite[:, None], points, 0.0)
+
+
 def unit_scaled(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     """Scale finite points by a power of two so that the largest |coordinate| is in [1/2, 1).
 
@@ -117,19 +122,24 @@ def side_of_plane(v, p, n0, n1, n2, x):
     return UNSURE
 
 
-def certainly_not_collinear(
-    points: NDArray[np.float64], faces: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+@kernel
+def has_area(v, a, b, c):
+    """Whether three points are certainly not on one line: then some projection has an area."""
+    return (
+        orient2d(v, a, b, c, 0, 1) != 0
+        or orient2d(v, a, b, c, 1, 2) != 0
+        or orient2d(v, a, b, c, 2, 0) != 0
+    )
+
+
+@kernel
+def certainly_not_collinear(v, faces):
     """Flag the faces `(F, 3)` whose area is certainly not zero, from unit-scaled points.
 
     A triangle has zero area exactly when all three coordinate projections have. False means
     unsure, not degenerate. NaN coordinates give False.
     """
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    ac, bc = a - c, b - c
-    sure = np.zeros(len(faces), dtype=bool)
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        left = ac[:, i] * bc[:, j]
-        right = ac[:, j] * bc[:, i]
-        sure |= np.abs(left - right) > _BOUND_2D * (np.abs(left) + np.abs(right)) + UNDERFLOW
+    sure = np.empty(len(faces), np.bool_)
+    for f in range(len(faces)):
+        sure[f] = has_area(v, faces[f, 0], faces[f, 1], faces[f, 2])
     return sure

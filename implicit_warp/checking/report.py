@@ -7,19 +7,21 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from implicit_warp.checking.mesh_arrays import mesh_arrays
+from implicit_warp.checking.nesting import Nesting, nesting
 from implicit_warp.checking.referees import REFEREES, Verdict, ask
 from implicit_warp.checking.self_intersection import (
     DEFAULT_LIMIT,
     SelfIntersections,
     self_intersections,
 )
-from implicit_warp.checking.topology import SLIVER_RATIO, Topology, analyse
+from implicit_warp.checking.topology import OFFENDERS, SLIVER_RATIO, Topology, analyse
 from implicit_warp.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,11 +46,13 @@ def check(
     *,
     referees: Iterable[str] = ("manifold3d",),
     limit: int = DEFAULT_LIMIT,
+    merge_vertices: bool = False,
 ) -> CheckReport:
-    """Check a triangle mesh: topology, degeneracies, volume, self-intersections.
+    """Check a triangle mesh: topology, nesting, degeneracies, volume, self-intersections.
 
-    The arrays are checked as they are: nothing is merged or repaired first. The one exception
-    is an STL file, which holds loose triangles: there, vertices with equal coordinates are one.
+    The arrays are checked as they are: nothing is merged or repaired first. The exceptions are
+    files whose format cannot say which corners are one vertex: in STL, GLB and glTF files,
+    vertices with equal coordinates are one.
 
     Args:
         mesh: a mesh with `vertices` (V, 3) and `faces` (F, 3), such as `trimesh.Trimesh`, or
@@ -59,12 +63,17 @@ def check(
             report, and is no error.
         limit: the search for self-intersections stops at about this many pairs; the report
             then says so.
+        merge_vertices: make vertices with exactly equal coordinates one before the check, for a
+            mesh whose seams are split by its normals or texture coordinates. A note in the
+            report says when this would close an open mesh. Vertices are then numbered anew, in
+            order of first appearance; faces keep their numbers.
 
     Returns:
         The report. It guarantees, for the float64 coordinates checked, exact answers on
-        connectivity, zero area and self-intersection. Area, volume and height ratios are
-        rounded. It does not speak of the coordinates once they are rounded again, as by
-        saving to STL: check the file.
+        connectivity, equal vertices, zero area, self-intersection, the sign of each component's
+        volume and its nesting. Area, volume and height ratios are rounded. It
+        does not speak of the coordinates once they are rounded again, as by saving to STL: check
+        the file.
 
     Raises:
         InputError: not a mesh, no such file, arrays of the wrong shape, an index out of
@@ -75,11 +84,16 @@ def check(
     for name in names:
         if name not in REFEREES:
             raise InputError("referees", name, "no such referee", f"Choose from {list(REFEREES)}")
-    vertices, faces = mesh_arrays(mesh)
+    vertices, faces = mesh_arrays(mesh, merge_vertices=merge_vertices)
+    topology = analyse(vertices, faces)
+    intersections = self_intersections(vertices, faces, limit=limit)
     return CheckReport(
-        topology=analyse(vertices, faces),
-        self_intersections=self_intersections(vertices, faces, limit=limit),
+        topology=topology,
+        self_intersections=intersections,
+        nesting=nesting(vertices, faces, topology, intersections),
         referees=tuple(ask(name, vertices, faces) for name in names),
+        vertices=vertices,
+        faces=faces,
         source=os.fspath(mesh) if isinstance(mesh, str | os.PathLike) else None,
     )
 
@@ -91,12 +105,18 @@ class CheckReport:
     Attributes:
         topology: connectivity, degeneracies, volume and area.
         self_intersections: the intersecting pairs of faces.
+        nesting: which components lie inside which others.
+        vertices: `(V, 3)` what was checked: no copy, where the caller's array was float64.
+        faces: `(F, 3)` likewise, of int64.
         referees: opinions of other libraries.
         source: the file checked, if it was one.
     """
 
     topology: Topology
     self_intersections: SelfIntersections
+    nesting: Nesting
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
     referees: tuple[Verdict, ...] = ()
     source: str | None = None
 
@@ -125,6 +145,22 @@ class CheckReport:
         """Number of pairs of faces that intersect."""
         return len(self.self_intersections)
 
+    def counts(self) -> dict[str, int]:
+        """Number of defects of each kind, by a name that stays the same from release to release.
+
+        Every name is always there, zero where nothing was found. "self_intersections" counts
+        pairs of faces, and "self_intersections.<kind>" those of each `IntersectionKind`. Notes
+        (slivers, vertices that are unreferenced or duplicated) are counted too.
+        """
+        return {
+            "self_intersections": self.num_self_intersections,
+            **{
+                f"self_intersections.{kind}": count
+                for kind, count in self.self_intersections.count_by_kind().items()
+            },
+            **{name: len(offenders) for name, offenders in self._offenders().items()},
+        }
+
     @property
     def problems(self) -> list[str]:
         """What is wrong, a sentence each, with counts and the first offending indices."""
@@ -136,8 +172,17 @@ class CheckReport:
         t = self.topology
         notes = _sentences(
             ("{} vertices belong to no face (vertices {})", t.unreferenced_vertices),
+            (
+                "{} vertices have the coordinates of an earlier one (vertices {})",
+                t.duplicate_vertices,
+            ),
             (f"{{}} faces are slivers, thinner than {SLIVER_RATIO:g} (faces {{}})", t.sliver_faces),
         )
+        if t.watertight_if_merged:
+            notes.append(
+                "vertices with equal coordinates are separate: merged, they would make the mesh "
+                "watertight; check it with merge_vertices=True"
+            )
         notes += [f"{v.referee}: {v.detail}" for v in self.referees if v.passed is None]
         return notes
 
@@ -159,21 +204,7 @@ class CheckReport:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON: offenders as a count and the first few, NaN as None."""
         t, s = self.topology, self.self_intersections
-        offenders = {
-            name: _listed(getattr(t, name))
-            for name in (
-                "open_edges",
-                "nonmanifold_edges",
-                "misoriented_edges",
-                "pinched_vertices",
-                "unreferenced_vertices",
-                "nonfinite_vertices",
-                "repeated_vertex_faces",
-                "zero_area_faces",
-                "sliver_faces",
-                "duplicate_faces",
-            )
-        }
+        offenders = {name: _listed(found) for name, found in self._offenders().items()}
         return {
             "source": self.source,
             "ok": self.ok,
@@ -202,6 +233,39 @@ class CheckReport:
             "referees": [_finite(asdict(v)) for v in self.referees],
         }
 
+    def write_coloured_mesh(self, path: str | os.PathLike[str]) -> None:
+        """Write the mesh as a PLY file whose faces have the colours of their defects.
+
+        Besides its colour, each face has a `defect`, which the file's comments explain. A face
+        beside a bad edge or at a bad vertex has its colour, unless it has a worse defect of its
+        own. Coordinates are float64, and faces and vertices keep their numbers.
+
+        Raises:
+            InputError: a name without `.ply`, or a folder that does not exist.
+        """
+        from implicit_warp.checking.evidence import evidence, write_ply
+
+        write_ply(Path(path), self.vertices, self.faces, evidence(self))
+
+    def write_picture(self, path: str | os.PathLike[str]) -> None:
+        """Write a PNG that shows where the defects are, each class in its colour, with a legend.
+
+        The left half shows the whole mesh, the right half the largest cluster of offenders from
+        the side that sees most of them. A line or dot that something hides is drawn thinner.
+        Works without a display.
+
+        Raises:
+            InputError: a name without `.png`, a folder that does not exist, or no face with
+                finite coordinates and an extent: there is nothing to show.
+            MissingDependency: Open3D or Pillow cannot be imported.
+        """
+        from implicit_warp.checking.evidence import evidence
+        from implicit_warp.checking.evidence_picture import write_picture
+
+        write_picture(
+            Path(path), self.vertices, self.faces, evidence(self), str(self).split("\n")[0]
+        )
+
     def to_json(self, indent: int | None = 2) -> str:
         """`to_dict` as strict JSON (no NaN)."""
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
@@ -211,7 +275,7 @@ class CheckReport:
         genus = ", ".join("?" if g is None else str(g) for g in t.genus[:_SHOWN])
         more = ", ..." if t.num_components > _SHOWN else ""
         volume = "none (not watertight)" if t.volume is None else f"{t.volume:.6g}"
-        kinds = ", ".join(f"{n} {kind}" for kind, n in s.count_by_kind().items())
+        kinds = ", ".join(f"{n} {kind}" for kind, n in s.count_by_kind().items() if n)
         rows = [
             ("mesh", f"{t.num_vertices} vertices, {t.num_faces} faces"),
             ("watertight", _yes(t.watertight)),
@@ -229,6 +293,13 @@ class CheckReport:
         lines += [f"  problem: {text}" for text in self.problems]
         lines += [f"  note: {text}" for text in self.notes]
         return "\n".join(lines)
+
+    def _offenders(self) -> dict[str, NDArray[np.int64]]:
+        return {
+            **{name: getattr(self.topology, name) for name in OFFENDERS},
+            "inside_out_components": self.nesting.inside_out_components,
+            "misnested_components": self.nesting.misnested_components,
+        }
 
     def _problems(self, max_self_intersections: int) -> list[str]:
         t, s = self.topology, self.self_intersections
@@ -249,6 +320,17 @@ class CheckReport:
             ("{} faces use a vertex twice (faces {})", t.repeated_vertex_faces),
             ("{} faces have exactly zero area (faces {})", t.zero_area_faces),
             ("{} faces repeat an earlier face (faces {})", t.duplicate_faces),
+        )
+        problems += _sentences(
+            (
+                "{} components are inside out: their faces look inwards (components {})",
+                self.nesting.inside_out_components,
+            ),
+            (
+                "{} components are nested wrongly: solids inside a solid, or cavities whose faces "
+                "look outwards (components {})",
+                self.nesting.misnested_components,
+            ),
         )
         if t.watertight and not _encloses(t):
             problems.append(

@@ -1,9 +1,9 @@
 """Pairs of faces that intersect: every one of them, and no others.
 
 Two closed triangles *intersect* here when they meet in more than the vertex or the edge that
-they share by index. Crossings, touching contacts, coplanar overlaps, flat folds and
-duplicates all count (`IntersectionKind`). Vertices that merely have equal coordinates are
-not shared: merge them first where they should be.
+they share by index. Crossings, coplanar overlaps, flat folds, touching contacts and
+duplicates all count, and each pair has one `IntersectionKind`. Vertices that merely have equal
+coordinates are not shared: merge them first where they should be.
 
 Method: candidate pairs from a tree of boxes, a float64 filter whose answers are proven
 (`pair_filter`, `predicates`), and integer arithmetic for what the filter leaves open
@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from implicit_warp.checking import exact
-from implicit_warp.checking.box_tree import build_tree, face_boxes, morton_order, scan_pairs
+from implicit_warp.checking.box_tree import BoxTree, scan_pairs
 from implicit_warp.checking.exact import IntersectionKind
 from implicit_warp.checking.mesh_arrays import validated
 from implicit_warp.checking.pair_filter import CROSSING as CERTAIN_CROSSING
 from implicit_warp.checking.pair_filter import UNSURE_PAIR
-from implicit_warp.checking.predicates import unit_scaled
+from implicit_warp.checking.predicates import finite_or_zero, unit_scaled
 
 DEFAULT_LIMIT = 100_000
 _SLICE = 4096  # pairs decided exactly before the limit is looked at again
@@ -59,11 +59,12 @@ class SelfIntersections:
         return len(self.pairs)
 
     def count_by_kind(self) -> dict[str, int]:
-        """Number of pairs of each kind that occurs, by lower-case name."""
-        kinds, counts = np.unique(self.kinds, return_counts=True)
+        """Number of pairs of each kind, zero included, by lower-case name."""
+        counts = np.bincount(self.kinds, minlength=len(IntersectionKind))
         return {
-            IntersectionKind(int(kind)).name.lower(): int(count)
-            for kind, count in zip(kinds, counts, strict=True)
+            kind.name.lower(): int(counts[kind])
+            for kind in IntersectionKind
+            if kind is not IntersectionKind.NONE
         }
 
 
@@ -85,20 +86,16 @@ def self_intersections(
         InputError: wrong shapes or types, or an index out of range.
     """
     vertices, faces = validated(vertices, faces)
-    finite = np.isfinite(vertices).all(axis=1)[faces].all(axis=1)
-    skipped = np.flatnonzero(~finite)
-    kept = np.flatnonzero(finite)
+    finite = np.isfinite(vertices).all(axis=1)
+    usable = finite[faces].all(axis=1)
+    skipped = np.flatnonzero(~usable)
+    kept = np.flatnonzero(usable)
     if len(kept) < 2:
         return _nothing(skipped)
 
-    scaled, _ = unit_scaled(np.where(np.isfinite(vertices), vertices, 0.0))
-    low, high = face_boxes(scaled, faces[kept])
-    order = morton_order(low, high)
-    kept, low, high = kept[order], low[order], high[order]
-    sorted_faces = np.ascontiguousarray(faces[kept])
-    pairs, verdicts, judged, complete = _scan(
-        scaled, sorted_faces, low, high, _UNSURE_PER_HIT * limit
-    )
+    scaled, _ = unit_scaled(finite_or_zero(vertices, finite))
+    tree = BoxTree.of(scaled, faces, kept)
+    pairs, verdicts, judged, complete = _scan(scaled, faces, tree, _UNSURE_PER_HIT * limit)
 
     kinds = np.where(
         verdicts == CERTAIN_CROSSING, IntersectionKind.CROSSING, IntersectionKind.DUPLICATE
@@ -109,12 +106,12 @@ def self_intersections(
     decided = 0
     while decided < len(unsure) and hits < limit:
         part = unsure[decided : decided + _SLICE]
-        kinds[part] = decide_exactly(vertices, sorted_faces, pairs[part])
+        kinds[part] = decide_exactly(vertices, faces, pairs[part])
         hits += int(np.count_nonzero(kinds[part]))
         decided += len(part)
 
     hit = kinds != IntersectionKind.NONE
-    pairs = np.sort(kept[pairs[hit]], axis=1)
+    pairs = np.sort(pairs[hit], axis=1)
     by_face = np.lexsort((pairs[:, 1], pairs[:, 0]))
     return SelfIntersections(
         pairs=pairs[by_face],
@@ -156,18 +153,27 @@ def faces_meeting(
 def _scan(
     scaled: NDArray[np.float64],
     faces: NDArray[np.int64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    tree: BoxTree,
     limit: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int8], int, bool]:
     """Pairs that are not certainly clear, their verdicts, the number judged, completeness."""
-    nodes = build_tree(low, high)
-    chunks = min(256, 1 + len(faces) // 256)
+    chunks = min(256, 1 + len(tree.faces) // 256)
     offsets = np.arange(chunks + 1) * 1024  # enough for a clean mesh; else a second pass
     while True:
         pairs = np.empty((offsets[-1], 2), dtype=np.int64)
         verdicts = np.empty(offsets[-1], dtype=np.int8)
-        found, judged = scan_pairs(scaled, faces, low, high, nodes, offsets, pairs, verdicts, limit)
+        found, judged = scan_pairs(
+            scaled,
+            faces,
+            tree.faces,
+            tree.low,
+            tree.high,
+            tree.nodes,
+            offsets,
+            pairs,
+            verdicts,
+            limit,
+        )
         room = np.diff(offsets)
         wanted = np.minimum(found, limit)
         if (wanted <= room).all() or offsets[-1] == limit:

@@ -21,18 +21,36 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from implicit_warp.checking import exact
+from implicit_warp.checking.edges import EdgeTable, Indices
+from implicit_warp.checking.equal_vertices import first_of_equal
+from implicit_warp.checking.measures import component_volumes, face_measures
 from implicit_warp.checking.mesh_arrays import validated
-from implicit_warp.checking.predicates import certainly_not_collinear, unit_scaled
+from implicit_warp.checking.predicates import (
+    certainly_not_collinear,
+    finite_or_zero,
+    unit_scaled,
+)
 
 SLIVER_RATIO = 1e-6
 """Faces whose smallest height is below this fraction of their longest side are slivers: the
 float32 of an STL file keeps about 1e-7 of the coordinates, so their shape is mostly lost."""
 
-Indices = NDArray[np.int64]
+OFFENDERS = (
+    "open_edges",
+    "nonmanifold_edges",
+    "misoriented_edges",
+    "pinched_vertices",
+    "unreferenced_vertices",
+    "duplicate_vertices",
+    "nonfinite_vertices",
+    "repeated_vertex_faces",
+    "zero_area_faces",
+    "sliver_faces",
+    "duplicate_faces",
+)
+"""The attributes of `Topology` that list what is wrong or worth a note."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +65,7 @@ class Topology:
         misoriented_edges: edges of two faces that run along them the same way.
         pinched_vertices: vertices with more than one fan of faces.
         unreferenced_vertices: vertices of no face.
+        duplicate_vertices: vertices with exactly the coordinates of an earlier one.
         nonfinite_vertices: vertices with a NaN or infinite coordinate.
         repeated_vertex_faces: faces with two equal indices.
         zero_area_faces: faces of distinct indices and exactly zero area.
@@ -56,11 +75,15 @@ class Topology:
         genus: genus of each component; None where it is not watertight.
         component_volumes: signed volume of each component; negative inside out (a cavity),
             NaN where it is not watertight.
+        component_signs: sign of each component's volume, exact; 0 where the volume is NaN, or
+            exactly zero.
         unit_volume: the volume of the mesh scaled by a power of two to about unit size; it has
             the volume's sign even where that under- or overflows. NaN where not watertight.
         area: total area; NaN with non-finite vertices in use.
         smallest_height_ratio: smallest height over longest side, over all faces; an
             equilateral triangle has 0.87. NaN without faces.
+        watertight_if_merged: the mesh is open, and would be watertight if the vertices with
+            equal coordinates were one: its seams were never joined.
     """
 
     num_vertices: int
@@ -70,6 +93,7 @@ class Topology:
     misoriented_edges: Indices
     pinched_vertices: Indices
     unreferenced_vertices: Indices
+    duplicate_vertices: Indices
     nonfinite_vertices: Indices
     repeated_vertex_faces: Indices
     zero_area_faces: Indices
@@ -78,9 +102,11 @@ class Topology:
     component_of_face: Indices
     genus: tuple[int | None, ...]
     component_volumes: NDArray[np.float64]
+    component_signs: NDArray[np.int8]
     unit_volume: float
     area: float
     smallest_height_ratio: float
+    watertight_if_merged: bool
 
     @property
     def num_components(self) -> int:
@@ -115,11 +141,14 @@ class Topology:
     @cached_property
     def volume(self) -> float | None:
         """Signed volume, positive when faces are counter-clockwise from outside; None if open."""
-        return float(self.component_volumes.sum()) if self.watertight else None
+        if not self.watertight:
+            return None
+        with np.errstate(invalid="ignore"):  # volumes that overflow to both infinities: NaN
+            return float(self.component_volumes.sum())
 
 
 def analyse(vertices: NDArray[np.float64], faces: Indices) -> Topology:
-    """Connectivity, degeneracies and size of a mesh; O(F log F).
+    """Connectivity, degeneracies and size of a mesh, in linear time.
 
     Raises:
         InputError: wrong shapes or types, or an index out of range.
@@ -129,180 +158,89 @@ def analyse(vertices: NDArray[np.float64], faces: Indices) -> Topology:
         (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
     )
     kept = np.flatnonzero(~repeated)
-    triangles = faces[kept]
+    triangles = faces[kept] if repeated.any() else faces
     finite = np.isfinite(vertices).all(axis=1)
     measurable = finite[triangles].all(axis=1)
 
-    edges = _Edges(triangles, len(vertices))
-    labels, num_components = edges.components()
-    genus = edges.genus(labels, num_components)
+    edges = EdgeTable(triangles, len(vertices))
+    labels, num_components = edges.component_of_face, edges.num_components
+    genus = edges.genus()
+    first = first_of_equal(vertices)
+    duplicate = np.flatnonzero(finite & (first != np.arange(len(vertices))))
 
-    scaled, exponent = unit_scaled(np.where(finite[:, None], vertices, 0.0))
-    volumes = _component_volumes(scaled, triangles, labels, num_components)
+    scaled, exponent = unit_scaled(finite_or_zero(vertices, finite))
+    volumes, errors = component_volumes(scaled, triangles, labels, num_components)
     volumes[[g is None for g in genus]] = np.nan
     volumes[np.unique(labels[~measurable])] = np.nan
-    areas, ratios = _areas_and_height_ratios(scaled, triangles)
+    area, ratios = face_measures(scaled, triangles)
     flat = _zero_area(vertices, scaled, triangles, measurable)
 
-    component_of_face = np.full(len(faces), -1, dtype=np.int64)
-    component_of_face[kept] = labels
+    component_of_face = labels
+    if len(kept) < len(faces):
+        component_of_face = np.full(len(faces), -1, dtype=np.int64)
+        component_of_face[kept] = labels
     unreferenced = np.ones(len(vertices), dtype=bool)
     unreferenced[faces] = False
     return Topology(
         num_vertices=len(vertices),
         num_faces=len(faces),
-        open_edges=edges.with_uses(edges.uses == 1),
-        nonmanifold_edges=edges.with_uses(edges.uses > 2),
-        misoriented_edges=edges.with_uses((edges.uses == 2) & (edges.balance != 0)),
+        open_edges=edges.open_edges,
+        nonmanifold_edges=edges.nonmanifold_edges,
+        misoriented_edges=edges.misoriented_edges,
         pinched_vertices=np.flatnonzero(edges.fans_of_vertex() > 1),
         unreferenced_vertices=np.flatnonzero(unreferenced),
+        duplicate_vertices=duplicate,
         nonfinite_vertices=np.flatnonzero(~finite),
         repeated_vertex_faces=np.flatnonzero(repeated),
         zero_area_faces=kept[flat],
         sliver_faces=kept[measurable & ~flat & (ratios < SLIVER_RATIO)],
-        duplicate_faces=kept[_duplicates(triangles, len(vertices))],
+        duplicate_faces=kept[_duplicates(triangles, edges.may_repeat)],
         component_of_face=component_of_face,
         genus=genus,
+        component_signs=_volume_signs(vertices, triangles, labels, volumes, errors),
         unit_volume=float(volumes.sum()),
         component_volumes=_times_power_of_two(volumes, 3 * exponent),
-        area=(
-            float(_times_power_of_two(areas.sum(), 2 * exponent))
-            if measurable.all()
-            else float("nan")
-        ),
+        area=float(_times_power_of_two(area, 2 * exponent)) if measurable.all() else float("nan"),
         smallest_height_ratio=(
             float(ratios[measurable].min()) if measurable.any() else float("nan")
         ),
+        watertight_if_merged=(
+            not edges.closed and len(duplicate) > 0 and _closed(first[triangles], len(vertices))
+        ),
     )
 
 
-class _Edges:
-    """Undirected edges of triangles with distinct corners, and what hangs together by them.
-
-    Half-edge h = F k + f runs from corner k of face f to the next one.
-    """
-
-    def __init__(self, triangles: Indices, num_vertices: int) -> None:
-        self.num_faces = len(triangles)
-        self.num_vertices = num_vertices
-        self.tail = triangles.T.ravel()
-        self.head = np.roll(triangles, -1, axis=1).T.ravel()
-        low, high = np.minimum(self.tail, self.head), np.maximum(self.tail, self.head)
-        key = low * max(num_vertices, 1) + high
-        # Half-edges of one edge become neighbours in this order.
-        self.order = np.argsort(key, kind="stable")
-        ordered = key[self.order]
-        starts = np.flatnonzero(np.diff(ordered, prepend=-1))
-        self.first_of_edge = self.order[starts]
-        self.uses = np.diff(starts, append=len(ordered))
-        forward = np.where(self.tail < self.head, 1, -1)[self.order]
-        self.balance = np.add.reduceat(forward, starts) if len(starts) else starts
-        # Consecutive half-edges of one edge: (a[i], b[i]) are neighbours across it.
-        same = np.ones(len(ordered), dtype=bool)
-        same[starts] = False
-        later = np.flatnonzero(same)
-        self.neighbours = self.order[later - 1], self.order[later]
-
-    def with_uses(self, selected: NDArray[np.bool_]) -> Indices:
-        """End points `(k, 2)` of the selected edges, smaller index first."""
-        half = self.first_of_edge[selected]
-        return np.sort(np.column_stack([self.tail[half], self.head[half]]), axis=1)
-
-    def components(self) -> tuple[Indices, int]:
-        """Component label of each face, and the number of components."""
-        a, b = self.neighbours
-        return _labels(a % max(self.num_faces, 1), b % max(self.num_faces, 1), self.num_faces)
-
-    @cached_property
-    def _fans(self) -> tuple[Indices, int]:
-        """Label of the fan that each corner belongs to, and the number of fans.
-
-        Corner h is the tail of half-edge h. Across an edge, the corners at the same vertex
-        belong to one fan.
-        """
-        count = len(self.tail)
-        if not count:
-            return np.empty(0, dtype=np.int64), 0
-        a, b = self.neighbours
-        after_a, after_b = (a + self.num_faces) % count, (b + self.num_faces) % count
-        opposed = self.tail[a] == self.head[b]
-        return _labels(
-            np.concatenate([a, after_a]),
-            np.concatenate([np.where(opposed, after_b, b), np.where(opposed, b, after_b)]),
-            count,
-        )
-
-    def fans_of_vertex(self) -> Indices:
-        """Number of fans at each vertex, `(V,)`."""
-        labels, count = self._fans
-        vertex_of_fan = np.empty(count, dtype=np.int64)
-        vertex_of_fan[labels] = self.tail
-        return np.bincount(vertex_of_fan, minlength=self.num_vertices)
-
-    def genus(self, labels: Indices, num_components: int) -> tuple[int | None, ...]:
-        """Genus of each component from V - E + F = 2 - 2 g; None where not watertight.
-
-        A pinched vertex counts once for each fan: the genus is that of the surface with its
-        pinches taken apart.
-        """
-        fans, num_fans = self._fans
-        face_of_fan = np.empty(num_fans, dtype=np.int64)
-        face_of_fan[fans] = np.arange(len(fans)) % max(self.num_faces, 1)
-        component_of_edge = labels[self.first_of_edge % max(self.num_faces, 1)]
-
-        def per_component(of: Indices) -> Indices:
-            return np.bincount(of, minlength=num_components)
-
-        euler = (
-            per_component(labels[face_of_fan])
-            - per_component(component_of_edge)
-            + per_component(labels)
-        )
-        bad = per_component(component_of_edge[(self.uses != 2) | (self.balance != 0)]) > 0
-        return tuple(
-            None if b else (2 - e) // 2 for b, e in zip(bad.tolist(), euler.tolist(), strict=True)
-        )
+def _closed(faces: Indices, num_vertices: int) -> bool:
+    """Whether the faces that have three distinct corners are watertight."""
+    a, b, c = faces.T
+    triangles = faces[(a != b) & (b != c) & (c != a)]
+    return len(triangles) > 0 and EdgeTable(triangles, num_vertices).closed
 
 
-def _labels(a: Indices, b: Indices, count: int) -> tuple[Indices, int]:
-    graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count))
-    number, labels = connected_components(graph, directed=False)
-    return labels.astype(np.int64), int(number)
+def _volume_signs(
+    vertices: NDArray[np.float64],
+    triangles: Indices,
+    labels: Indices,
+    volumes: NDArray[np.float64],
+    errors: NDArray[np.float64],
+) -> NDArray[np.int8]:
+    """Sign of each component's volume: where rounding could have turned it, from integers."""
+    signs = np.sign(np.nan_to_num(volumes)).astype(np.int8)
+    for component in np.flatnonzero(np.abs(volumes) <= errors):
+        used, corners = np.unique(triangles[labels == component], return_inverse=True)
+        points = exact.integer_points(vertices[used])
+        signs[component] = exact.volume_sign(points, corners.reshape(-1, 3).tolist())
+    return signs
 
 
-def _duplicates(triangles: Indices, num_vertices: int) -> Indices:
+def _duplicates(triangles: Indices, may_repeat: NDArray[np.bool_]) -> Indices:
     """Positions of triangles whose corners an earlier triangle has too, in any order."""
-    corners = np.sort(triangles, axis=1)
+    candidates = np.flatnonzero(may_repeat)
+    corners = np.sort(triangles[candidates], axis=1)
     order = np.lexsort((corners[:, 2], corners[:, 1], corners[:, 0]))
     ordered = corners[order]
     again = (ordered[1:] == ordered[:-1]).all(axis=1)
-    return np.sort(order[1:][again])
-
-
-def _component_volumes(
-    scaled: NDArray[np.float64], triangles: Indices, labels: Indices, num_components: int
-) -> NDArray[np.float64]:
-    """Sum of a . (b x c) / 6 over each component, about the mesh's centre for accuracy."""
-    if not num_components:
-        return np.empty(0)
-    used = scaled[triangles]
-    centre = 0.5 * (used.min(axis=(0, 1)) + used.max(axis=(0, 1)))
-    a, b, c = (used[:, k] - centre for k in range(3))
-    sixfold = np.einsum("ij,ij->i", a, np.cross(b, c))
-    return np.bincount(labels, weights=sixfold, minlength=num_components) / 6.0
-
-
-def _areas_and_height_ratios(
-    scaled: NDArray[np.float64], triangles: Indices
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Area, and smallest height over longest side, of each triangle."""
-    a, b, c = (scaled[triangles[:, k]] for k in range(3))
-    double = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    longest_squared = np.max(
-        [np.einsum("ij,ij->i", d, d) for d in (b - a, c - b, a - c)], axis=0, initial=0.0
-    )
-    ratio = np.divide(double, longest_squared, out=np.zeros_like(double), where=longest_squared > 0)
-    return 0.5 * double, ratio
+    return np.sort(candidates[order[1:][again]])
 
 
 def _zero_area(

@@ -4,6 +4,9 @@ It shares nothing with the code under test, neither the predicates nor the metho
 intersection of two convex sets is the hull of few candidate points (corners of one in the
 other, crossings of an edge with an edge or a plane), so all of them are computed and looked
 at. Faces may be degenerate.
+
+The kind follows from one more fact of convexity: the mean of these points lies in the relative
+inside of the common part, and so in the insides of both triangles if these meet at all.
 """
 
 from __future__ import annotations
@@ -16,23 +19,35 @@ Vector = tuple[int | Fraction, int | Fraction, int | Fraction]
 
 def meet_outside_shared(vertices, face, other) -> bool:
     """Whether two faces have a common point outside the hull of their shared vertices."""
+    return kind_of_intersection(vertices, face, other) != "none"
+
+
+def kind_of_intersection(vertices, face, other) -> str:
+    """The lower-case name of the `IntersectionKind` that two faces should get."""
     shared = sorted(set(map(int, face)) & set(map(int, other)))
     if len(shared) == 3:
-        return True
+        return "duplicate"
     used = sorted({*map(int, face), *map(int, other)})
     points = dict(zip(used, _integers([vertices[i] for i in used]), strict=True))
     first, second, corners = ([points[int(i)] for i in s] for s in (face, other, shared))
     hull_of_shared = {0: None, 1: corners * 3, 2: (corners * 2)[:3]}[len(shared)]
-    return any(
-        hull_of_shared is None or not _in_hull(x, hull_of_shared)
-        for x in _common_points(first, second)
-    )
+    common = list(_common_points(first, second))
+    if all(hull_of_shared is not None and _in_hull(x, hull_of_shared) for x in common):
+        return "none"
+    if not any(_normal(first)) or not any(_normal(second)):
+        return "degenerate"
+    middle = tuple(Fraction(sum(c), len(common)) for c in zip(*common, strict=True))
+    if not (_in_hull(middle, first, strictly=True) and _in_hull(middle, second, strictly=True)):
+        return "touching"
+    if any(_cross(_normal(first), _normal(second))):
+        return "crossing"
+    return "fold" if shared else "overlap"
 
 
 def _common_points(first, second):
     for a, b in ((first, second), (second, first)):
         yield from (x for x in a if _in_hull(x, b))
-        normal = _cross(_sub(b[1], b[0]), _sub(b[2], b[0]))
+        normal = _normal(b)
         for p, q in combinations(a, 2):
             climb = _dot(normal, _sub(q, p))
             if climb != 0:
@@ -59,13 +74,18 @@ def _crossing(p, q, r, s):
     return _along(p, q, t) if 0 <= t <= 1 and 0 <= k <= 1 else None
 
 
-def _in_hull(x, corners) -> bool:
+def _normal(corners) -> Vector:
     a, b, c = corners
-    normal = _cross(_sub(b, a), _sub(c, a))
+    return _cross(_sub(b, a), _sub(c, a))
+
+
+def _in_hull(x, corners, strictly: bool = False) -> bool:
+    a, b, c = corners
+    normal = _normal(corners)
     if not any(normal):
         return any(_in_segment(x, p, q) for p, q in combinations(corners, 2))
     weights = [_dot(normal, _cross(_sub(q, p), _sub(x, p))) for p, q in ((a, b), (b, c), (c, a))]
-    return _dot(normal, _sub(x, a)) == 0 and all(w >= 0 for w in weights)
+    return _dot(normal, _sub(x, a)) == 0 and all(w > 0 if strictly else w >= 0 for w in weights)
 
 
 def _in_segment(x, p, q) -> bool:

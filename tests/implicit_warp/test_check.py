@@ -11,20 +11,8 @@ import pytest
 import trimesh
 
 from implicit_warp.checking import BadMesh, analyse, check
+from implicit_warp.checking.equal_vertices import first_of_equal
 from implicit_warp.errors import FileFormatError, InputError
-
-FLAGS = (
-    "open_edges",
-    "nonmanifold_edges",
-    "misoriented_edges",
-    "pinched_vertices",
-    "unreferenced_vertices",
-    "nonfinite_vertices",
-    "repeated_vertex_faces",
-    "zero_area_faces",
-    "sliver_faces",
-    "duplicate_faces",
-)
 
 
 def sphere() -> tuple[np.ndarray, np.ndarray]:
@@ -47,12 +35,10 @@ def mesh_of(vertices, faces) -> SimpleNamespace:
 
 def flags_of(vertices, faces) -> set[str]:
     report = check(mesh_of(vertices, faces), referees=())
-    raised = {flag for flag in FLAGS if len(getattr(report.topology, flag))}
+    raised = {name for name, n in report.counts().items() if n and not name.startswith("self_")}
     if report.num_self_intersections:
         raised.add("self_intersections")
-    if any("not positive" in problem for problem in report.problems):
-        raised.add("inside out")
-    harmless = {"unreferenced_vertices", "sliver_faces"}
+    harmless = {"unreferenced_vertices", "duplicate_vertices", "sliver_faces"}
     assert report.ok == (raised <= harmless), str(report)
     return raised
 
@@ -142,7 +128,7 @@ def sliver(vertices, faces):
 SABOTAGE: dict[Callable, set[str]] = {
     dropped_face: {"open_edges"},
     flipped_face: {"misoriented_edges"},
-    inside_out: {"inside out"},
+    inside_out: {"inside_out_components"},
     duplicated_face: {"nonmanifold_edges", "duplicate_faces", "self_intersections"},
     vertex_through_a_wall: {"self_intersections"},
     pinched_vertices: {"pinched_vertices"},
@@ -178,6 +164,14 @@ def test_clean_meshes_raise_none(mesh, genus: tuple[int, ...]) -> None:
     assert report.watertight
     assert report.topology.genus == genus
     assert report.raise_if_bad() is report
+
+
+def test_a_solid_around_nothing_has_no_positive_volume() -> None:
+    """Two faces back to back are closed, and enclose exactly nothing."""
+    report = check(mesh_of(np.eye(3), np.array([[0, 1, 2], [2, 1, 0]])), referees=())
+    assert report.watertight
+    assert report.topology.component_signs.tolist() == [0]
+    assert any("not positive" in problem for problem in report.problems)
 
 
 def test_offenders_are_named_by_index() -> None:
@@ -223,6 +217,43 @@ def test_edges_and_vertices_of_random_soups_agree_with_a_plain_count(seed: int) 
     pinched = [v for v in range(9) if plain_fans(faces, v) > 1]
     assert t.pinched_vertices.tolist() == pinched
     assert t.num_components == len(set(plain_components(faces)))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_equal_vertices_of_random_lattices_agree_with_a_dictionary(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    vertices = rng.integers(-2, 3, (rng.integers(0, 200), 3)) * rng.choice([1.0, -0.0, 1e-300])
+    seen: dict[tuple[float, ...], int] = {}
+    expected = [seen.setdefault(tuple(v), i) for i, v in enumerate(vertices.tolist())]
+    assert first_of_equal(vertices).tolist() == expected
+    faces = np.empty((0, 3), dtype=np.int64)
+    repeats = [i for i, first in enumerate(expected) if first != i]
+    assert analyse(vertices, faces).duplicate_vertices.tolist() == repeats
+
+
+def test_vertices_that_are_not_finite_are_duplicates_of_none() -> None:
+    vertices = np.array([[0, 0, np.nan], [0, 0, np.nan], [np.inf, 0, 0], [np.inf, 0, 0]])
+    assert len(analyse(vertices, np.empty((0, 3), dtype=np.int64)).duplicate_vertices) == 0
+
+
+def test_ten_thousand_faces_at_one_vertex_are_one_fan() -> None:
+    """No step may be quadratic in the number of faces at a vertex."""
+    n = 10_000
+    ring = np.arange(n)
+    angle = 2 * np.pi * ring / n
+    vertices = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    vertices = np.concatenate([vertices, [[0, 0, 1], [0, 0, -1]]])
+    after = (ring + 1) % n
+    faces = np.concatenate(
+        [
+            np.column_stack([ring, after, np.full(n, n)]),
+            np.column_stack([after, ring, np.full(n, n + 1)]),
+        ]
+    )
+    t = analyse(vertices, faces)
+    assert t.watertight
+    assert t.vertex_manifold
+    assert t.genus == (0,)
 
 
 def plain_fans(faces: np.ndarray, vertex: int) -> int:
@@ -284,8 +315,30 @@ def test_tiny_and_huge_coordinates_are_judged_like_others(scale: float) -> None:
     report = check(mesh_of(vertices * scale, faces))
     assert report.ok, str(report)
     json.loads(report.to_json())
-    assert flags_of(vertices * scale, faces[:, ::-1]) == {"inside out"}
+    assert flags_of(vertices * scale, faces[:, ::-1]) == {"inside_out_components"}
     assert flags_of(*vertex_through_a_wall(vertices * scale, faces)) == {"self_intersections"}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_components_of_all_sizes_in_one_mesh_are_judged_like_others(seed: int) -> None:
+    """From 1e-30 to 1e30 in one array: the small are not drowned by the large."""
+    rng = np.random.default_rng(seed)
+    vertices, faces = sphere()
+    sizes = 10.0 ** rng.permutation(np.arange(-30, 31, 12))
+    # Each beside the larger ones, not round the same centre.
+    parts = [vertices * size + np.array([4.0 * size, 0, 0]) for size in sizes]
+    offsets = len(vertices) * np.arange(len(sizes))[:, None, None]
+    every = (faces + offsets).reshape(-1, 3)
+    assert flags_of(np.concatenate(parts), every) == set()
+    chosen = int(rng.integers(len(sizes)))
+    block = slice(chosen * len(faces), (chosen + 1) * len(faces))
+    flipped = every.copy()
+    flipped[block] = flipped[block, ::-1]
+    report = check(mesh_of(np.concatenate(parts), flipped), referees=())
+    assert report.nesting.inside_out_components.tolist() == [chosen]
+    parts[chosen][3] -= 2.2 * (parts[chosen][3] - [4.0 * sizes[chosen], 0, 0])
+    found = check(mesh_of(np.concatenate(parts), every), referees=())
+    assert set(found.topology.component_of_face[found.self_intersections.pairs].ravel()) == {chosen}
 
 
 @pytest.mark.parametrize("count", [0, 1])
@@ -344,6 +397,29 @@ def test_json_holds_what_the_report_says() -> None:
     assert data["referees"][0]["referee"] == "manifold3d"
 
 
+def test_counts_have_the_same_names_for_every_mesh_and_say_what_the_report_says() -> None:
+    clean = check(mesh_of(*sphere()), referees=()).counts()
+    assert not any(clean.values())
+    for sabotage in SABOTAGE:
+        report = check(mesh_of(*sabotage(*sphere())), referees=())
+        counts = report.counts()
+        assert list(counts) == list(clean)
+        kinds = [n for name, n in counts.items() if name.startswith("self_intersections.")]
+        assert sum(kinds) == counts["self_intersections"] == report.num_self_intersections
+        listed = report.to_dict()
+        for name, n in counts.items():
+            if "." not in name:
+                assert listed[name]["count"] == n, name
+
+
+def test_the_arrays_of_a_mesh_are_not_copied() -> None:
+    """A report of ten million faces must not hold them twice."""
+    vertices, faces = sphere()
+    report = check(mesh_of(vertices, faces), referees=())
+    assert np.shares_memory(report.vertices, vertices)
+    assert np.shares_memory(report.faces, faces)
+
+
 def test_text_of_a_report_leads_with_the_verdict() -> None:
     assert str(check(mesh_of(*sphere()))).startswith("mesh: ok\n")
     bad = str(check(mesh_of(*flipped_face(*sphere()))))
@@ -369,6 +445,39 @@ def test_files_are_checked_as_the_meshes_they_hold(suffix: str, tmp_path) -> Non
     report = check(path).raise_if_bad()
     assert report.source == str(path)
     assert report.topology.num_vertices == len(sphere()[0])
+
+
+def split(vertices, faces):
+    """Each face with corners of its own, as normals and texture coordinates demand."""
+    return vertices[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+
+
+def test_formats_that_must_split_vertices_are_merged_and_others_are_told_about_it(tmp_path) -> None:
+    mesh = trimesh.Trimesh(*split(*sphere()), process=False)
+    for suffix in (".glb", ".ply"):
+        mesh.export(tmp_path / f"split{suffix}")
+    assert check(tmp_path / "split.glb", referees=()).ok
+    report = check(tmp_path / "split.ply", referees=())
+    assert len(report.topology.open_edges) == 3 * len(mesh.faces)
+    assert any("merge_vertices=True" in note for note in report.notes)
+    assert check(tmp_path / "split.ply", referees=(), merge_vertices=True).ok
+
+
+def test_texture_coordinates_and_normals_of_an_obj_file_do_not_open_it(tmp_path) -> None:
+    path = tmp_path / "textured.obj"
+    corners = ["v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1"]
+    textures = ["vt 0 0", "vt 1 0", "vt 0 1", "vt 1 1"]
+    normals = ["vn 0 0 -1", "vn 0 -1 0", "vn -1 0 0", "vn 1 1 1"]
+    faces = [
+        "f 1/1/1 3/2/1 2/3/1",
+        "f 1/4/2 2/1/2 4/2/2",
+        "f 1/3/3 4/2/3 3/4/3",
+        "f 2/1/4 3/2/4 4/3/4",
+    ]
+    path.write_text("\n".join([*corners, *textures, *normals, *faces]) + "\n")
+    report = check(path, referees=())
+    assert report.ok, str(report)
+    assert report.topology.num_vertices == 4
 
 
 def test_duplicate_faces_in_a_file_are_not_tidied_away(tmp_path) -> None:
