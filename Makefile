@@ -1,6 +1,7 @@
 # make demo    bend a CSG part, check it, write out/demo/ (part.stl, part.png, ...)
 # make test    the quick tests; `make test ARGS="-m slow"` for the others
 # make lint    style and formatting
+# make fuzz    random cases, as many as asked; `make fuzz N=1000`
 # make bench   speed, as ratios against the reference back end
 # make clean   remove outputs and caches (the environment in .venv stays)
 #
@@ -16,13 +17,14 @@ SHELL := /bin/sh
 BIN := .venv/bin
 READY := .venv/ready
 ARGS ?=
+N ?= 100
 
 SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
 # Expanded only when the environment is built; `python3` first, because it is the user's choice.
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c '$(SUPPORTED)' 2>/dev/null && { command -v $$p; break; }; done)
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint fuzz bench clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -36,6 +38,9 @@ test: $(READY)
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+fuzz: $(READY)
+	$(BIN)/python -m tests.fuzz $(N) $(ARGS)
 
 bench: $(READY)
 	$(BIN)/implicit-warp bench

@@ -23,6 +23,8 @@ __version__ = "0.1.0"
 _HOME = {
     "Affine": "affine",
     "BadMesh": "checking",
+    "Bend": "bend",
+    "Certificate": "certificate",
     "CheckReport": "checking",
     "Composition": "maps",
     "ElasticOptions": "elastic_solve",
@@ -32,12 +34,17 @@ _HOME = {
     "Map": "maps",
     "MissingDependency": "errors",
     "NotInjective": "errors",
+    "PushForwardReport": "push_forward",
     "SolveReport": "elastic_solve",
+    "Taper": "axial",
     "TutteNet": "tuttenet",
+    "Twist": "axial",
     "Warp": "warp",
     "back_end": "evaluate",
+    "certify": "certificate",
     "check": "checking",
     "deform": "deformation",
+    "deform_mesh": "push_forward",
     "elastic": "elastic_solve",
     "elastic_energy": "energy",
     "extract": "extraction",
@@ -55,6 +62,9 @@ __all__ = [*sorted(_HOME), "__version__"]
 
 if TYPE_CHECKING:
     from implicit_warp.affine import Affine, rigid_motion
+    from implicit_warp.axial import Taper, Twist
+    from implicit_warp.bend import Bend
+    from implicit_warp.certificate import Certificate, certify
     from implicit_warp.checking import BadMesh, CheckReport, check
     from implicit_warp.deformation import deform
     from implicit_warp.elastic_solve import ElasticOptions, SolveReport, elastic
@@ -65,6 +75,7 @@ if TYPE_CHECKING:
     from implicit_warp.files import load, save
     from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
     from implicit_warp.maps import Composition, Map
+    from implicit_warp.push_forward import PushForwardReport, deform_mesh
     from implicit_warp.threads import set_threads
     from implicit_warp.tuttenet import TutteNet
     from implicit_warp.warp import Warp

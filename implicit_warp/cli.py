@@ -26,6 +26,7 @@ from implicit_warp.errors import FileFormatError, InputError, MissingDependency,
 
 if TYPE_CHECKING:
     from implicit_warp.checking import CheckReport
+    from implicit_warp.regression import Outcome, Results, Target
 
 GOOD, BAD_MESH, BAD_INPUT, DEFECT, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -152,10 +153,12 @@ class Apply(_Common):
     """Carry a mesh, a field script or points forward by a saved map.
 
     A mesh keeps its faces and moves its vertices: a coarse one can come out with
-    self-intersections, and the check says so. A field script is pulled back and extracted. Points
+    self-intersections, and the check says so. --method exact cuts its faces along the creases of
+    the map, so that the result is the exact image; --method adaptive divides them until they follow
+    it within a tolerance, also for --inverse. A field script is pulled back and extracted. Points
     are a .npy file of shape (n, 3).
 
-    Example: implicit-warp apply warp.safetensors scan.ply -o posed.ply
+    Example: implicit-warp apply warp.safetensors scan.ply -o posed.ply --method exact
     """
 
     warp: Positional[Path]
@@ -166,6 +169,10 @@ class Apply(_Common):
     """A mesh file, or .npy for points."""
     inverse: bool = False
     """Apply the inverse map."""
+    method: Literal["vertices", "adaptive", "exact"] = "vertices"
+    """For meshes: move vertices only, divide faces adaptively, or cut them exactly."""
+    tolerance: float | None = None
+    """For --method adaptive: distance from the image; by default 1/1000 of its diagonal."""
     resolution: int = 192
     """For field scripts: voxels along the longest side of the result's box."""
 
@@ -179,6 +186,13 @@ class Apply(_Common):
 
         suffix = self.thing.suffix.lower()
         refuse_target(self.out, (".npy",) if suffix == ".npy" else WRITABLE)
+        if suffix in (".npy", ".py") and (self.method != "vertices" or self.tolerance is not None):
+            raise InputError(
+                "method",
+                self.method,
+                f"methods and tolerances are for meshes, and {self.thing} is none",
+                "leave them out: points and fields are carried exactly",
+            )
         map_ = load(self.warp)
         map_ = map_.inv if self.inverse else map_
         if suffix == ".npy":
@@ -192,44 +206,116 @@ class Apply(_Common):
         if suffix == ".py":
             mesh = extract(deform(load_shape(self.thing), map_), self.resolution)
         else:
-            mesh = deform(read_mesh(self.thing), map_)
+            mesh = self._push_forward(read_mesh(self.thing), map_)
         return _write_and_check(mesh, self.out)
+
+    def _push_forward(self, mesh, map_):
+        from implicit_warp.progress import progress_bar
+        from implicit_warp.push_forward import deform_mesh
+
+        with progress_bar(self.method) as update:
+            image, report = deform_mesh(
+                mesh, map_, self.method, tolerance=self.tolerance, progress=update
+            )
+        _say(str(report))
+        return image
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check(_Common):
     """Check meshes: closed, manifold, oriented, not degenerate, free of self-intersections.
 
-    The exit code is 1 if any file fails.
+    FILES are meshes, folders (their meshes at any depth) and patterns such as "parts/**/*.stl".
+    Each is checked on its own; one that cannot be read does not stop the others. The exit code is
+    2 if any could not be read, else 1 if any failed, else 0.
 
-    Example: implicit-warp check part.stl --max-self-intersections 0 --json
+    With --baseline, a file in the baseline passes as long as no count of defects grew: what is
+    stored is tolerated. --max-self-intersections then holds for files that are not in it.
+
+    Example: implicit-warp check parts --baseline counts.json --junit report.xml
     """
 
     files: Positional[tuple[Path, ...]]
-    """Mesh files."""
+    """Meshes, folders of meshes, or patterns."""
     max_self_intersections: int = 0
     """Pairs of faces that may intersect before a file fails."""
+    baseline: Path | None = None
+    """Stored counts (.json); paths in it are relative to its folder."""
+    update: bool = False
+    """Store the counts of this run in the baseline; then only unreadable files fail."""
+    junit: Path | None = None
+    """Also write the verdicts as JUnit XML here (.xml)."""
+    evidence: Path | None = None
+    """Folder for a picture and a coloured mesh of each file that fails: where its defects are."""
     json: bool = False
-    """Print the reports as JSON."""
+    """Print everything as JSON, and nothing else."""
     referees: tuple[Referee, ...] = ("manifold3d",)
     """Libraries whose verdict is asked for beside ours."""
 
     def run(self) -> int:
         """Carry out the command; returns the exit code."""
-        from implicit_warp.checking import check
+        from implicit_warp.files import atomic_write, refuse_target
+        from implicit_warp.regression import Gate, Results, find_targets, junit_xml
 
         if not self.files:
             raise InputError("files", (), "there is nothing to check", "name one or more meshes")
-        code, reports = GOOD, {}
-        for path in self.files:
-            report = check(path, referees=self.referees)
-            reports[str(path)] = report.to_dict()
-            if not self.json:
-                _say(str(report))
-            code = max(code, _verdict(report, self.max_self_intersections))
+        if self.junit is not None:
+            refuse_target(self.junit, (".xml",))
+        if self.baseline is not None and self.update:
+            refuse_target(self.baseline, (".json",))
+        gate = Gate.open(
+            self.baseline,
+            self.update,
+            max_self_intersections=self.max_self_intersections,
+            referees=self.referees,
+            evidence=self.evidence,
+        )
+        results = Results(gate)
+        self._check(results, find_targets(self.files, exclude=self.evidence))
+        if self.update:
+            results.store()
+        if self.junit is not None:
+            with atomic_write(self.junit) as temporary:
+                temporary.write_bytes(junit_xml(results.outcomes, results.started))
+        code = BAD_MESH if results.count("failed") else GOOD
+        code = BAD_INPUT if results.count("unreadable") else code
         if self.json:
-            _say(json.dumps(reports, indent=2))
+            _say(json.dumps(results.to_dict(code), indent=2))
+        elif summary := results.summary():
+            _say(_printable(summary))
         return code
+
+    def _check(self, results: Results, targets: Sequence[Target]) -> None:
+        """Check all, telling of each as it comes; after the last where a bar is in the way."""
+        from implicit_warp.progress import progress_bar
+
+        if not sys.stderr.isatty():
+            for outcome in results.run(targets):
+                self._tell(outcome, alone=len(targets) == 1)
+            return
+        with progress_bar("check", show=True) as update:
+            update(0, len(targets), str(targets[0].path))
+            for done, _ in enumerate(results.run(targets), 1):
+                update(done, len(targets), "".join(str(t.path) for t in targets[done : done + 1]))
+        for outcome in results.outcomes:
+            self._tell(outcome, alone=len(targets) == 1)
+
+    def _tell(self, outcome: Outcome, alone: bool) -> None:
+        """A line for what passed among others, the whole report for the rest."""
+        if outcome.facts is None:
+            sys.stderr.write(f"implicit-warp: {outcome.error}\n")
+            return
+        if outcome.no_evidence:
+            sys.stderr.write(f"implicit-warp: {outcome.path}: no picture: {outcome.no_evidence}\n")
+        if self.json:
+            return
+        if outcome.failures or alone:
+            _say(_printable(outcome.text))
+        tolerated = not outcome.facts["ok"] and not outcome.failures
+        verdict = outcome.status + (" with tolerated defects" if tolerated else "")
+        _say(_printable(f"{outcome.path}: {verdict}, {outcome.seconds:.2f} s"))
+        for path in outcome.evidence:
+            _say(_printable(f"  see {path}"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,9 +330,9 @@ class Info(_Common):
 
     def run(self) -> int:
         """Carry out the command; returns the exit code."""
+        from implicit_warp.certificate import certify
         from implicit_warp.files import load, read_metadata
         from implicit_warp.mesh_files import read_mesh
-        from implicit_warp.pipeline import describe_map
         from implicit_warp.shapes import load_shape
         from implicit_warp.warp import Warp
 
@@ -255,8 +341,9 @@ class Info(_Common):
             metadata, map_ = read_metadata(self.file), load(self.file)
             facts = {"map": repr(map_), **metadata}
             facts.pop("structure")
+            facts["certificate"] = certify(map_)
             if isinstance(map_, Warp):
-                facts.update(describe_map(map_, None))
+                facts |= {"layers": map_.n_layers, "resolution": map_.resolution}
                 if map_.report is not None:
                     solved = map_.report.to_dict()
                     facts["solve"] = {k: solved[k] for k in ("status", "steps", "handle_error")}
@@ -370,6 +457,12 @@ def _read_points(path: Path):
         raise InputError(
             "thing", str(path), f"not a readable .npy file ({error})", "save it with numpy.save"
         ) from error
+
+
+def _printable(text: str) -> str:
+    """The text with what standard output cannot encode, as in odd file names, as escapes."""
+    encoding = sys.stdout.encoding or "utf-8"
+    return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def _say(text: str) -> None:

@@ -110,7 +110,7 @@ def test_extract_then_check_and_the_exit_codes(part, capsys):
     assert main(["check", f"{part}/holed.off"]) == 1
     assert "open" in capsys.readouterr().out
     assert main(["check", f"{part}/a.off", f"{part}/holed.off", "--json"]) == 1
-    reports = json.loads(capsys.readouterr().out)
+    reports = json.loads(capsys.readouterr().out)["files"]
     assert [r["ok"] for r in reports.values()] == [True, False]
 
 
