@@ -103,7 +103,8 @@ def _an_exact_image_is_clean(case: Case) -> dict[str, int]:
     assert after.watertight, str(after)
     assert sorted(after.topology.genus) == sorted(before.topology.genus), str(after)
     plain = iw.check(iw.deform(mesh, warp), referees=()).num_self_intersections
-    return {"faces": len(image.faces), "bad by vertices only": int(plain > 0)}
+    contacts = {f"with {k}": int(v > 0) for k, v in counts.items() if v}
+    return {"faces": len(image.faces), "bad by vertices only": int(plain > 0), **contacts}
 
 
 def _draw_extract(seed: int) -> Case:
