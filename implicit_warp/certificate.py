@@ -84,10 +84,10 @@ class Certificate:
         return "\n  ".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """The same in plain values, as JSON has them."""
+        """The same in plain values, as JSON has them; None for an infinite singular value."""
         values = asdict(self)
         values["region"] = None if self.region is None else [list(corner) for corner in self.region]
-        values["singular_values"] = [list(pair) for pair in self.singular_values]
+        values["singular_values"] = [[_finite(s) for s in pair] for pair in self.singular_values]
         values["lipschitz"] = list(self.lipschitz)
         return values
 
@@ -97,7 +97,10 @@ class Certificate:
             self,
             map=name,
             region=as_region(box),
-            singular_values=tuple((1.0 / b, 1.0 / a) for a, b in reversed(self.singular_values)),
+            singular_values=tuple(
+                (1.0 / b, 1.0 / a if a else math.inf) for a, b in reversed(self.singular_values)
+            ),
+            lipschitz=self.lipschitz[::-1],
         )
 
 
@@ -125,12 +128,12 @@ def certify(map_: Map, box=None) -> Certificate:
     if not certificate.proved:
         return certificate
     if region is None:
-        return replace(certificate, lipschitz=tuple(_finite(x) for x in map_.lipschitz))
+        given = certificate.lipschitz
+        constants = map_.lipschitz if given == (None, None) else given
+        return replace(certificate, lipschitz=tuple(_finite(x) for x in constants))
     bounds = _known(lambda: map_._local_bounds(region[None]))
-    if bounds is None:
-        return certificate
     back = None
-    if np.isfinite(bounds.boxes).all():
+    if bounds is not None and np.isfinite(bounds.boxes).all():
         back = _known(lambda: map_._local_bounds_of_inverse(bounds.boxes))
     constants = [None if b is None else _finite(b.lipschitz[0]) for b in (bounds, back)]
     return replace(certificate, lipschitz=tuple(constants))

@@ -66,13 +66,6 @@ class LayerStack:
         with torch.inference_mode(False), torch.set_grad_enabled(self.transitions.requires_grad):
             return invert_affine(self.transitions).flip(0)
 
-    @cached_property
-    def oriented_areas(self) -> Tensor:
-        """(K, C) twice the oriented area of each image triangle, and of each cone's ray pair."""
-        _, image = self._corners
-        first, second = image[..., 1, :] - image[..., 0, :], image[..., 2, :] - image[..., 0, :]
-        return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-
     def _cell_maps(self, inverse: bool) -> Tensor:
         # What is cached must carry its gradients, also if it is first asked for without them.
         with torch.inference_mode(False), torch.set_grad_enabled(self.embeddings.requires_grad):

@@ -2,10 +2,10 @@
 
 The global Lipschitz constant of a warp is a product over layers of the largest stretch of any
 cell, which no single place combines.  On a box one can do better.  Let c be the box's centre, h
-its half lengths, f_k the map up to layer k and J_k its Jacobian.  In every layer one matrix A stands
-for those of all cells that the box's image may meet: the middle of these matrices A_t, entry by
-entry.  M_k is the product of the A's and transitions so far, P_kj that of those after layer j, and
-d_j = max |A_t - A| over the cells met in layer j.  Replacing layer by layer the A_t by A gives
+its half lengths, f_k the map up to layer k and J_k its Jacobian.  In every layer one matrix A
+stands for those of all cells that the box's image may meet: the middle of these matrices A_t, entry
+by entry.  M_k is the product of the A's and transitions so far, P_kj that of those after layer j,
+and d_j = max |A_t - A| over the cells met in layer j.  Replacing layer by layer the A_t by A gives
 
     J_k(x) = M_k + sum_j P_kj (A_t - A)_j J_j-1(x),
     |J_k(x) - M_k| <= sum_j |P_kj| d_j L_j-1,

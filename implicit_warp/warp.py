@@ -151,6 +151,7 @@ class Warp(Map):
             smallest_area=self.smallest_area,
             smallest_area_sign=1,
             singular_values=tuple(zip(smallest.tolist(), largest.tolist(), strict=True)),
+            lipschitz=self.lipschitz,
         )
 
     def _local_bounds(self, boxes: np.ndarray) -> LocalBounds:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from implicit_warp.checking.exact import IntersectionKind
+from implicit_warp.checking.nesting import Nesting
 from implicit_warp.checking.referees import REFEREES, Verdict
 from implicit_warp.checking.report import BadMesh, CheckReport, check
 from implicit_warp.checking.self_intersection import SelfIntersections, self_intersections
@@ -13,6 +14,7 @@ __all__ = [
     "BadMesh",
     "CheckReport",
     "IntersectionKind",
+    "Nesting",
     "SelfIntersections",
     "Topology",
     "Verdict",

@@ -219,6 +219,7 @@ class CheckReport:
             "components": t.num_components,
             "genus": list(t.genus[:_LISTED]),
             "volume": _number(t.volume),
+            "component_depths": self.nesting.depth[:_LISTED].tolist(),
             "component_volumes": [_number(v) for v in t.component_volumes[:_LISTED].tolist()],
             "area": _number(t.area),
             "smallest_height_ratio": _number(t.smallest_height_ratio),

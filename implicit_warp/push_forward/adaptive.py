@@ -32,7 +32,7 @@ RELATIVE_TOLERANCE = 1e-3
 """Default tolerance, as a part of the image's diagonal."""
 
 _MOST_FACES = 20_000_000
-_CLEANING_ROUNDS = 16
+_CLEANING_ROUNDS = 8
 _SHARPER = 0.25  # times the tolerance, for faces found intersecting
 
 Indices = NDArray[np.int64]

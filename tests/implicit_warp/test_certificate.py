@@ -78,6 +78,26 @@ def test_the_figures_of_a_warp_are_those_of_its_layers(seed):
     assert back.singular_values[0] == tuple(1 / s for s in certificate.singular_values[-1][::-1])
 
 
+@pytest.mark.parametrize("exponent", [-1000, -600, -300, 300, 480])
+def test_layers_of_extreme_scale_are_proved_and_saved(exponent, tmp_path, seed):
+    """Their areas leave the range of float64, and with them some bounds, but no sign."""
+    net = random_net(seed, layers=2, resolution=4)
+    u = torch.ldexp(net.embeddings().detach(), torch.tensor([[[0]], [[exponent]]]))
+    warp = Warp(u, net.frames())
+    for m in (warp, warp.inv):
+        certificate = certify(m)
+        assert certificate.proved
+        assert certificate.smallest_area_sign == 1
+        assert str(certificate)
+        save(m, tmp_path / "map.safetensors")
+        load(tmp_path / "map.safetensors")
+        bounds = m.local_bounds(BOX[None])
+        assert not np.isnan(bounds.lipschitz).any()
+        assert not np.isnan(bounds.boxes).any()
+        norm = np.linalg.norm(m.jacobian(BOX), 2, axis=(-2, -1)).max() if abs(exponent) < 400 else 0
+        assert norm <= bounds.lipschitz[0] * (1 + 1e-12)
+
+
 class Strange(Map):
     """A map of which nothing is known."""
 

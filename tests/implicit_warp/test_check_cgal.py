@@ -12,7 +12,7 @@ from implicit_warp.checking.exact import integer_points, visible_axis
 from tests.implicit_warp.planted_defects import KINDS, planted
 
 pytest.importorskip("CGAL", reason="the cgal wheel (GPL-3) is not installed")
-from tests.implicit_warp import cgal_referee as referee  # noqa: E402 - it needs CGAL
+from tests.implicit_warp import cgal_referee as referee
 
 APART = np.array([[0, 1, 2], [3, 4, 5]])
 

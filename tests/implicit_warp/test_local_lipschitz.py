@@ -9,6 +9,7 @@ import torch
 from implicit_warp.bend import Bend
 from implicit_warp.certificate import certify
 from implicit_warp.errors import InputError
+from implicit_warp.local_lipschitz import _apart
 from implicit_warp.maps import Inverse, Map
 from implicit_warp.matrix_norms import quick_norm, spectral_norm
 from implicit_warp.warp import Warp
@@ -193,6 +194,33 @@ def test_spectral_norms_are_upper_bounds_and_tight(rng):
             assert exact * (1.0 - 1e-14) <= quick_norm(m) <= exact * 3.0 ** (1 / 16) * (1 + 1e-12)
     assert spectral_norm(np.zeros((3, 3))) == 0.0
     assert spectral_norm(np.full((3, 3), np.inf)) == np.inf
+
+
+def test_cells_are_apart_only_if_no_point_is_common(rng):
+    """A hexagon spanned by three segments, widened along the axes, against sampled points."""
+    apart = np.zeros(400, bool)
+    for i in range(400):
+        corners = rng.normal(size=(3, 2))
+        (ax, ay), (bx, by) = corners[1] - corners[0], corners[2] - corners[0]
+        if ax * by < ay * bx:
+            corners[[1, 2]] = corners[[2, 1]]
+        along = np.roll(corners, -2, 0) - np.roll(corners, -1, 0)
+        sides = np.concatenate(
+            [np.stack([-along[:, 1], along[:, 0]], 1), np.roll(corners, -1, 0)], 1
+        )
+        centre, g, wide = rng.normal(size=2), 0.3 * rng.normal(size=(3, 2)), rng.uniform(0, 0.5, 2)
+        shares = np.sign(rng.normal(size=(2000, 3))) * rng.random((2000, 3)) ** 0.2
+        points = centre + shares @ g + np.sign(rng.normal(size=(2000, 2))) * wide
+        inside = [(points - side[2:]) @ side[:2] >= 0 for side in sides]
+        apart[i] = _apart(*centre, g, *wide, sides)
+        if apart[i]:
+            assert not np.logical_and.reduce(inside).any()
+        else:
+            # No side of the triangle separates it from the hexagon's outermost point.
+            for side in sides:
+                reach = np.abs(g @ side[:2]).sum() + np.abs(side[:2]) @ wide
+                assert (centre - side[2:]) @ side[:2] + reach >= -1e-12
+    assert 50 < apart.sum() < 350
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from fractions import Fraction
 
 import numpy as np
@@ -197,26 +196,20 @@ def test_affine_parts_that_are_singular_to_the_last_digit_are_refused():
     assert outcomes == {True, False}
 
 
-def prove_many(count: int, seed: int) -> dict[str, float]:
-    """Prove random warps, plant one fold in each, and find it; raises at the first failure."""
+def prove_many(count: int, seed: int) -> None:
+    """Prove random warps, plant one fold in each, and find it."""
     rng = np.random.default_rng(seed)
-    layers = exactly = 0
-    started = time.perf_counter()
     for i in range(count):
         warp = random_warp_at_the_limits(rng)
-        layers += warp.n_layers
         size = 0.0 if rng.random() < 0.1 else 10.0 ** rng.uniform(-300.0, -3.0)
         u = warp.embeddings.numpy()
         k = int(rng.integers(warp.n_layers))
         folded, cell = plant_fold(rng, u[k], warp.mesh, size)
-        signs, decided = cell_signs(folded[None], warp.mesh)
-        exactly += decided.exactly
+        signs, _ = cell_signs(folded[None], warp.mesh)
         truth = rational_area(cell_corners(folded, warp.mesh, cell))
         assert signs[0, cell] == sign(truth) <= 0, f"seed {seed}, warp {i}, size {size}"
         with pytest.raises(NotInjective):
             prove_layers(np.concatenate([u[:k], folded[None], u[k + 1 :]]), warp.mesh)
-    seconds = time.perf_counter() - started
-    return {"warps": count, "layers": layers, "decided exactly": exactly, "seconds": seconds}
 
 
 def test_random_warps_are_proved_and_every_planted_fold_is_found(seed):
@@ -225,4 +218,5 @@ def test_random_warps_are_proved_and_every_planted_fold_is_found(seed):
 
 @pytest.mark.statistical
 def test_100_000_random_warps_are_proved_and_every_planted_fold_is_found(seed):
-    print(prove_many(100_000, seed))  # noqa: T201 - shown with -s: how long it took
+    for part in range(10):
+        prove_many(10_000, seed + part)
