@@ -157,7 +157,7 @@ ABOUT = {
     "not orientable": "winding",
     "winding not consistent": "winding",
     "self-intersecting": "meets",
-    "M - M not empty": "meets",
+    "M - M not empty": "overlaps",
     "negative volume": "sign",
     "inside out": "sign",
     "NonFiniteVertex": "finite",
@@ -177,13 +177,13 @@ TRUE_OF = {
     "fin": {"closed", "winding", "solid"},
     "pinched_vertex": {"pinched", "closed"},
     "zero_area_face": {"meets"},
-    "crossing": {"meets"},
-    "coplanar_overlap": {"meets"},
-    "touching_vertex": {"meets"},
-    "fold": {"meets"},
+    "crossing": {"meets", "overlaps"},
+    "coplanar_overlap": {"meets", "overlaps"},
+    "touching_vertex": {"meets", "overlaps"},
+    "fold": {"meets", "overlaps"},
     "nonfinite_vertex": {"finite", "solid"},
     "unmerged_seam": {"closed", "solid", "meets"},
-    "wrong_nesting": {"sign", "meets"},
+    "wrong_nesting": {"sign", "overlaps"},
     "sliver": set(),
     "unreferenced_vertex": {"unused"},
 }
@@ -311,10 +311,11 @@ def main() -> None:
         answer(tool, kind, int(first), int(last))
         return
     picture()
+    measured = table(options.placements)
     page = ROOT / "docs/checking.md"
     before, _, rest = page.read_text().partition(BEGIN)
     _, _, after = rest.partition(END)
-    page.write_text(f"{before}{BEGIN}\n{table(options.placements)}\n{END}{after}")
+    page.write_text(f"{before}{BEGIN}\n{measured}\n{END}{after}")
 
 
 if __name__ == "__main__":

@@ -31,7 +31,8 @@ def morton_order(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray
     """Permutation that sorts boxes by the Morton code of their centres."""
     origin = low.min(axis=0)
     extent = high.max(axis=0) - origin
-    scale = _CELLS / np.where(extent > 0, extent, 1.0)
+    # An extent whose reciprocal overflows sorts nothing.
+    scale = _CELLS / np.where(extent > 1e-300, extent, 1.0)
     return np.argsort(_morton_codes(low, high, origin, scale), kind="stable")
 
 

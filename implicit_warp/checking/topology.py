@@ -226,10 +226,15 @@ def _volume_signs(
 ) -> NDArray[np.int8]:
     """Sign of each component's volume: where rounding could have turned it, from integers."""
     signs = np.sign(np.nan_to_num(volumes)).astype(np.int8)
-    for component in np.flatnonzero(np.abs(volumes) <= errors):
-        used, corners = np.unique(triangles[labels == component], return_inverse=True)
+    unsure = np.abs(volumes) <= errors
+    faces = np.flatnonzero(unsure[labels])
+    faces = faces[np.argsort(labels[faces], kind="stable")]
+    ends = np.flatnonzero(np.diff(labels[faces])) + 1
+    for component in np.split(faces, ends) if len(faces) else ():
+        used, corners = np.unique(triangles[component], return_inverse=True)
         points = exact.integer_points(vertices[used])
-        signs[component] = exact.volume_sign(points, corners.reshape(-1, 3).tolist())
+        sign = exact.volume_sign(points, corners.reshape(-1, 3).tolist())
+        signs[labels[component[0]]] = sign
     return signs
 
 

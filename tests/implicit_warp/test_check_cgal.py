@@ -57,9 +57,9 @@ def test_cgal_agrees_on_closed_meshes_that_were_crumpled(seed: int) -> None:
     for number in range(40):
         defect = planted("inside_out", 100 * seed + number)
         grain = 2.0 ** rng.integers(3, 9)
-        vertices = defect.vertices + rng.normal(0.0, 10.0 ** rng.uniform(-4, -1), (1, 3)) * (
-            rng.random((len(defect.vertices), 1)) < 0.05
-        )
+        moved = rng.random((len(defect.vertices), 1)) < 0.4
+        size = 10.0 ** rng.uniform(-3.0, -0.5)
+        vertices = defect.vertices + moved * rng.normal(0.0, size, defect.vertices.shape)
         vertices = np.rint(vertices * grain) / grain
         corners = integer_points(vertices)
         if any(visible_axis(*(corners[i] for i in f)) is None for f in defect.faces.tolist()):
@@ -67,4 +67,4 @@ def test_cgal_agrees_on_closed_meshes_that_were_crumpled(seed: int) -> None:
         verdict = referee.self_intersects(vertices, defect.faces)
         verdicts[verdict] += 1
         assert (len(self_intersections(vertices, defect.faces)) > 0) == verdict, (defect, grain)
-    assert min(verdicts[True], verdicts[False]) > 2, verdicts
+    assert min(verdicts[True], verdicts[False]) > 0, "one verdict never occurs"
