@@ -167,10 +167,11 @@ def axis_vector(axis) -> np.ndarray:
             raise InputError("axis", axis, "no axis of that name", 'use "x", "y", "z" or a vector')
         return np.array(_AXES[axis])
     vector = _array("axis", axis, (3,))
-    length = np.linalg.norm(vector)
-    if length == 0.0:
+    largest = np.abs(vector).max()
+    if largest == 0.0:
         raise InputError("axis", axis, "a zero vector has no direction", 'use e.g. "z"')
-    return vector / length
+    vector = vector / largest  # or its squares could over- or underflow
+    return vector / np.linalg.norm(vector)
 
 
 def _axis_and_angle(rotate):

@@ -215,7 +215,13 @@ class Apply(_Common):
 
         with progress_bar(self.method) as update:
             image, report = deform_mesh(
-                mesh, map_, self.method, tolerance=self.tolerance, progress=update
+                mesh,
+                map_,
+                self.method,
+                tolerance=self.tolerance,
+                # Nearly all formats hold float32, in which small pieces would fall together.
+                clean_for=None if self.method == "vertices" else "float32",
+                progress=update,
             )
         _say(str(report))
         return image
@@ -263,6 +269,7 @@ class Check(_Common):
             refuse_target(self.junit, (".xml",))
         if self.baseline is not None and self.update:
             refuse_target(self.baseline, (".json",))
+        self._refuse_evidence()
         gate = Gate.open(
             self.baseline,
             self.update,
@@ -284,6 +291,26 @@ class Check(_Common):
         elif summary := results.summary():
             _say(_printable(summary))
         return code
+
+    def _refuse_evidence(self) -> None:
+        """Raise where the pictures cannot go, or would be taken for meshes to check."""
+        folder = self.evidence
+        if folder is None:
+            return
+        existing = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+        if not existing.is_dir() or not os.access(existing, os.W_OK):
+            raise InputError(
+                "evidence", str(folder), f"{existing} is no writable folder", "choose another one"
+            )
+        place = folder.resolve()
+        for searched in filter(Path.is_dir, self.files):
+            if place == searched.resolve() or place in searched.resolve().parents:
+                raise InputError(
+                    "evidence",
+                    str(folder),
+                    f"{searched} is searched for meshes, and would hold those of the evidence",
+                    "choose a folder of its own, such as evidence/",
+                )
 
     def _check(self, results: Results, targets: Sequence[Target]) -> None:
         """Check all, telling of each as it comes; after the last where a bar is in the way."""
@@ -339,8 +366,8 @@ class Info(_Common):
         suffix = self.file.suffix.lower()
         if suffix == ".safetensors":
             metadata, map_ = read_metadata(self.file), load(self.file)
-            facts = {"map": repr(map_), **metadata}
-            facts.pop("structure")
+            known = ("format", "format_version", "library_version", "units", "sha256")
+            facts = {"map": repr(map_)} | {k: metadata[k] for k in known if k in metadata}
             facts["certificate"] = certify(map_)
             if isinstance(map_, Warp):
                 facts |= {"layers": map_.n_layers, "resolution": map_.resolution}

@@ -15,7 +15,7 @@ from implicit_warp.maps import Map
 if TYPE_CHECKING:
     import trimesh
 
-    from implicit_warp.push_forward.methods import Method, Progress
+    from implicit_warp.push_forward.methods import Method, Precision, Progress
 
 _LATTICE = 48
 """Samples a side of the lattice from which the bounds of a deformed field are estimated."""
@@ -31,6 +31,7 @@ def deform(
     method: Method = "vertices",
     tolerance: float | None = None,
     until_clean: bool = False,
+    clean_for: Precision | None = None,
     progress: Progress | None = None,
 ) -> trimesh.Trimesh: ...
 @overload

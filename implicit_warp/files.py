@@ -120,7 +120,7 @@ def save(map_: Map, path: str | Path, *, units: str = "") -> None:
         "structure": json.dumps(structure),
         "certificate": json.dumps(certify(map_).to_dict()),
     }
-    metadata["sha256"] = _digest(tensors, metadata["structure"])
+    metadata["sha256"] = _digest(tensors, metadata)
     with atomic_write(path) as temporary:
         save_file(tensors, temporary, metadata=metadata)
 
@@ -285,9 +285,10 @@ _AXIAL: dict[type[AxialMap], tuple[str, ...]] = {
 """The arguments of the axial maps beside their frame and origin."""
 
 
-def _digest(tensors: dict[str, torch.Tensor], structure: str) -> str:
-    """A fingerprint of everything that defines a saved map."""
-    digest = hashlib.sha256(structure.encode())
+def _digest(tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> str:
+    """A fingerprint of everything that defines a saved map; its certificate is compared apart."""
+    said = [metadata.get(key) for key in ("units", "structure")]
+    digest = hashlib.sha256(json.dumps(said).encode())
     for name in sorted(tensors):
         tensor = tensors[name].contiguous()
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
@@ -298,12 +299,17 @@ def _digest(tensors: dict[str, torch.Tensor], structure: str) -> str:
 def _refuse_altered(path, metadata: dict[str, str], tensors: dict, map_: Map) -> None:
     """Compare what the file says of its map with what the map is; old files say nothing."""
     written = metadata.get("sha256")
-    if written is not None and written != _digest(tensors, metadata["structure"]):
+    if (written is None) != ("certificate" not in metadata):
         raise FileFormatError(
-            f"{path}: the file was altered: its numbers are not those that were certified when it "
-            "was written. Write it again with implicit_warp.save"
+            f"{path}: the file was altered: its certificate and its fingerprint are written "
+            "together, and one is missing. Write it again with implicit_warp.save"
         )
-    if "certificate" in metadata:
+    if written is not None:
+        if written != _digest(tensors, metadata):
+            raise FileFormatError(
+                f"{path}: the file was altered: its numbers are not those that were certified when "
+                "it was written. Write it again with implicit_warp.save"
+            )
         stored = json.loads(metadata["certificate"])
         if not isinstance(stored, dict):
             raise FileFormatError(f"{path}: its certificate is damaged; save the map again")

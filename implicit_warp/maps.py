@@ -175,13 +175,20 @@ class Composition(Map):
     """Maps applied one after the other; made by ``b @ a``.
 
     Args:
-        maps: in the order of application.
+        maps: in the order of application, at least one.
+
+    Raises:
+        InputError: there are none, or one is no map.
     """
 
     def __init__(self, maps: Iterable[Map]) -> None:
         flat: list[Map] = []
         for m in maps:
+            if not isinstance(m, Map):
+                raise InputError("maps", m, "not a map", "pass Warp, TutteNet, Affine, ...")
             flat.extend(m.maps if isinstance(m, Composition) else [m])
+        if not flat:
+            raise InputError("maps", maps, "there are none", "Affine() is the identity")
         self.maps = tuple(flat)
 
     @property

@@ -18,6 +18,7 @@ def carry_attributes(
     source: trimesh.Trimesh,
     target: trimesh.Trimesh,
     lineage: Lineage,
+    kept: NDArray[np.int64] | slice,
     source_faces: NDArray[np.int64],
 ) -> None:
     """Give a subdivided mesh what the mesh it comes from has.
@@ -31,6 +32,7 @@ def carry_attributes(
         source: the given mesh.
         target: its image; changed in place.
         lineage: where the vertices of the target come from.
+        kept: those of the lineage's vertices that the target has.
         source_faces: (F,) the face of the source that each face of the target is a part of.
     """
     target.metadata.update(copy.deepcopy(source.metadata))
@@ -38,17 +40,17 @@ def carry_attributes(
     if visual.kind == "texture":
         moved = visual.copy()
         for name, values in visual.vertex_attributes.items():
-            moved.vertex_attributes[name] = _at_vertices(values, lineage)
+            moved.vertex_attributes[name] = _at_vertices(values, lineage)[kept]
         if visual.face_materials is not None:
             moved.face_materials = np.asarray(visual.face_materials)[source_faces]
         target.visual = moved
     elif visual.kind == "vertex":
         colours = lineage.interpolate(np.asarray(visual.vertex_colors, dtype=np.float64))
-        target.visual.vertex_colors = np.rint(colours).astype(np.uint8)
+        target.visual.vertex_colors = np.rint(colours[kept]).astype(np.uint8)
     elif visual.kind == "face":
         target.visual.face_colors = np.asarray(visual.face_colors)[source_faces]
     for name, values in source.vertex_attributes.items():
-        target.vertex_attributes[name] = _at_vertices(values, lineage)
+        target.vertex_attributes[name] = _at_vertices(values, lineage)[kept]
     for name, values in source.face_attributes.items():
         target.face_attributes[name] = np.asarray(values)[source_faces]
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from implicit_warp.checking.mesh_arrays import mesh_arrays
 from implicit_warp.errors import InputError
+from implicit_warp.jit import parallel_kernel
 from implicit_warp.maps import Map
 from implicit_warp.push_forward.attributes import carry_attributes
 from implicit_warp.push_forward.lineage import Lineage
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
 
 Method = Literal["vertices", "adaptive", "exact"]
 METHODS: tuple[Method, ...] = ("vertices", "adaptive", "exact")
+Precision = Literal["float32", "float64"]
 
 Progress = Callable[[int, int], None]
 
@@ -32,6 +36,7 @@ def deform_mesh(
     *,
     tolerance: float | None = None,
     until_clean: bool = False,
+    clean_for: Precision | None = None,
     progress: Progress | None = None,
 ) -> tuple[trimesh.Trimesh, PushForwardReport]:
     """The image of a mesh under a map, and a report.
@@ -58,6 +63,9 @@ def deform_mesh(
         tolerance: of "adaptive", in the units of the image; by default 1/1000 of the diagonal of
             the image's box.
         until_clean: of "adaptive".
+        clean_for: of "exact" and "adaptive": round coordinates to "float32" (STL, PLY, GLB) or
+            "float64", and collapse the short edges at which that makes contacts; see `rounding`.
+            Takes a search for self-intersections, or a few.
         progress: called with the steps done and in all.
 
     Raises:
@@ -69,6 +77,7 @@ def deform_mesh(
 
     begin = time.perf_counter()
     _refuse_bad_options(map_, method, tolerance, until_clean)
+    _refuse_bad_precision(method, clean_for)
     vertices, faces = mesh_arrays(mesh)
     _refuse_non_finite(vertices)
     repeated = (faces == np.roll(faces, -1, 1)).any(axis=1)
@@ -100,17 +109,28 @@ def deform_mesh(
         corners, sources = triangulate(polygons)
         points, sources = polygons.points[: polygons.n_vertices], kept[sources]
         lineage = polygons.lineage
-        figures = {"polygons": polygons.n_polygons, "uncut": uncut}
+        figures = {"polygons": int(polygons.n_polygons), "uncut": uncut}
+
+    rest, kept_vertices = lineage.interpolate(vertices), slice(None)
+    if clean_for is not None:
+        from implicit_warp.push_forward.rounding import settle
+
+        settled = settle(points, rest, corners, clean_for)
+        points, kept_vertices = settled.points[settled.kept_vertices], settled.kept_vertices
+        renumbered = np.full(len(settled.points), -1)
+        renumbered[kept_vertices] = np.arange(len(kept_vertices))
+        corners, sources = renumbered[settled.faces], sources[settled.kept_faces]
+        figures |= {"collapsed": settled.collapsed, "self_intersections": settled.contacts}
 
     image = trimesh.Trimesh(points, corners, process=False)
     if isinstance(mesh, trimesh.Trimesh):
-        carry_attributes(mesh, image, lineage, sources)
+        carry_attributes(mesh, image, lineage, kept_vertices, sources)
     report = PushForwardReport(
         method=method,
         faces_in=len(faces),
         faces_out=len(corners),
         source_faces=sources,
-        rest_vertices=lineage.interpolate(vertices),
+        rest_vertices=rest[kept_vertices],
         dropped_faces=dropped,
         smallest_edge=_smallest_edge(points, corners),
         seconds=time.perf_counter() - begin,
@@ -119,12 +139,17 @@ def deform_mesh(
     return image, report
 
 
-def _smallest_edge(points: NDArray[np.float64], faces: NDArray[np.int64]) -> float:
+@parallel_kernel
+def _smallest_edge(points, faces):
     smallest = np.inf
-    for k in range(3):
-        sides = points[faces[:, k]] - points[faces[:, k - 1]]
-        smallest = min(smallest, float(np.einsum("ij,ij->i", sides, sides).min(initial=np.inf)))
-    return smallest**0.5
+    for f in prange(len(faces)):
+        for k in range(3):
+            a, b = faces[f, k], faces[f, k - 1]
+            squared = 0.0
+            for d in range(3):
+                squared += (points[a, d] - points[b, d]) ** 2
+            smallest = min(smallest, squared)
+    return math.sqrt(smallest)
 
 
 def _refuse_bad_options(
@@ -142,6 +167,18 @@ def _refuse_bad_options(
     if tolerance is not None and not 0.0 < tolerance < np.inf:
         raise InputError(
             "tolerance", tolerance, "not a positive distance", "give it in units of the image"
+        )
+
+
+def _refuse_bad_precision(method: str, clean_for: object) -> None:
+    if clean_for not in (None, "float32", "float64"):
+        raise InputError("clean_for", clean_for, "no such precision", 'use "float32" or "float64"')
+    if clean_for is not None and method == "vertices":
+        raise InputError(
+            "clean_for",
+            clean_for,
+            "the faces of a mesh that is moved by its vertices intersect for other reasons",
+            'use method="exact" or "adaptive"',
         )
 
 

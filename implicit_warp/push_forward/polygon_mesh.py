@@ -90,10 +90,8 @@ class PolygonMesh:
                     setattr(self, name, wider)
 
     def compact(self) -> None:
-        """Close the gaps between loops where they take up more room than the loops."""
+        """Close the gaps between loops, and bring them into the order of the polygons again."""
         live = int(self.lengths[: self.n_polygons].sum())
-        if self.n_corners <= 2 * live:
-            return
         vertices, edges = np.empty(live, np.int32), np.empty(live, np.int32)
         _pack(
             self.corner_vertices, self.corner_edges, self.starts, self.lengths, self.n_polygons,

@@ -28,8 +28,9 @@ class PushForwardReport:
         largest_error: adaptive: the largest distance found, at the midpoints of the final edges and
             the centroids of the final faces, between the image and the flat faces.
         rounds: adaptive: how many times faces were divided.
-        self_intersections: adaptive with `until_clean`: pairs that intersect, 0; otherwise None,
-            nobody looked.
+        self_intersections: with `until_clean` or `clean_for`: pairs of faces of the result that
+            intersect, and faces of no area; None if nobody looked.
+        collapsed: with `clean_for`: edges collapsed because rounding made contacts there.
     """
 
     method: str
@@ -46,6 +47,7 @@ class PushForwardReport:
     largest_error: float | None = None
     rounds: int | None = None
     self_intersections: int | None = None
+    collapsed: int | None = None
 
     def __str__(self) -> str:
         parts = [f"{self.method}: {self.faces_in} faces -> {self.faces_out}"]
@@ -55,6 +57,10 @@ class PushForwardReport:
                 parts.append(f"{self.uncut} of them NOT cut as they should be")
         if self.tolerance is not None:
             parts.append(f"largest error found {self.largest_error:.3g} of {self.tolerance:.3g}")
+        if self.collapsed is not None:
+            parts.append(
+                f"{self.collapsed} edges collapsed, {self.self_intersections} contacts left"
+            )
         if len(self.dropped_faces):
             parts.append(f"{len(self.dropped_faces)} faces with a repeated vertex dropped")
         parts.append(f"smallest edge {self.smallest_edge:.3g}, {self.seconds:.2f} s")

@@ -102,7 +102,8 @@ def find_targets(
 
     Args:
         arguments: files, folders, patterns.
-        exclude: a folder whose meshes folders do not mean, such as that of the evidence.
+        exclude: a folder whose meshes neither folders nor patterns mean, such as that of the
+            evidence.
     """
     found: dict[str, Target] = {}
     left_out = None if exclude is None else os.path.realpath(exclude)
@@ -220,12 +221,16 @@ def _targets(path: Path, left_out: str | None) -> Iterator[Target]:
             yield _nothing(path, "the folder holds no meshes", f"known are {', '.join(WRITABLE)}")
     elif not path.exists() and glob.has_magic(str(path)):
         files = sorted(Path(p) for p in glob.glob(str(path), recursive=True))
-        files = [p for p in files if p.is_file()]
+        files = [p for p in files if p.is_file() and not _is_below(p, left_out)]
         yield from map(Target, files)
         if not files:
             yield _nothing(path, "no file matches the pattern", "check the path")
     else:
         yield Target(path)
+
+
+def _is_below(path: Path, folder: str | None) -> bool:
+    return folder is not None and Path(folder) in path.resolve().parents
 
 
 def _meshes_below(folder: Path, left_out: str | None) -> list[Path]:

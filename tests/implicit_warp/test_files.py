@@ -6,6 +6,8 @@ import os
 
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 
 import implicit_warp as iw
 from implicit_warp.errors import FileFormatError, InputError, NotInjective
@@ -52,8 +54,6 @@ def test_truncated_file_is_refused(saved):
 
 
 def test_other_contents_are_refused(saved, tmp_path):
-    from safetensors.torch import save_file
-
     other = tmp_path / "other.safetensors"
     save_file({"a": torch.zeros(2)}, other)
     with pytest.raises(FileFormatError, match="holds no map"):
@@ -66,9 +66,6 @@ def test_other_contents_are_refused(saved, tmp_path):
 
 
 def rewrite(path, change):
-    from safetensors import safe_open
-    from safetensors.torch import save_file
-
     with safe_open(path, framework="pt") as file:
         metadata = dict(file.metadata())
         tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
@@ -175,3 +172,16 @@ def test_impossible_targets_are_named(tmp_path):
     for path, words in [(tmp_path / "no" / "a.stl", "does not exist"), (tmp_path, "is a folder")]:
         with pytest.raises(InputError, match=words), atomic_write(path):
             pass
+
+
+@pytest.mark.parametrize("key", ["sha256", "certificate"])
+def test_a_certificate_without_its_fingerprint_is_refused(key, saved):
+    rewrite(saved, lambda metadata, _: metadata.pop(key))
+    with pytest.raises(FileFormatError, match="one is missing"):
+        load(saved)
+
+
+def test_units_belong_to_the_fingerprint(saved):
+    rewrite(saved, lambda metadata, _: metadata.update(units="parsec"))
+    with pytest.raises(FileFormatError, match="altered"):
+        load(saved)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from implicit_warp.affine import axis_vector
 from implicit_warp.errors import InputError
 from implicit_warp.evaluate import back_end
-from implicit_warp.maps import Map
+from implicit_warp.maps import Composition, Map
 from tests.implicit_warp.registered_maps import (
     BUILDERS,
     COVERED,
@@ -259,3 +260,15 @@ def test_a_forced_back_end_stays_in_its_thread():
 def test_unknown_back_end_is_refused():
     with pytest.raises(InputError, match=r"cuda9.*auto, torch, numba"), back_end("cuda9"):
         pass
+
+
+@pytest.mark.parametrize(("maps", "words"), [([], "there are none"), ([1, 2], "not a map")])
+def test_a_composition_of_nothing_or_of_other_things_is_refused(maps, words):
+    with pytest.raises(InputError, match=words):
+        Composition(maps)
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-200, 1.0, 1e200, 1.7e308])
+def test_an_axis_of_any_length_is_a_direction(size):
+    expected = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+    np.testing.assert_allclose(axis_vector([size, size, 0.0]), expected, rtol=1e-13)

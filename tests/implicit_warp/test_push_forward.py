@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -139,9 +143,8 @@ def test_every_polygon_lies_in_one_cell_of_every_layer(case, seed):
 
 def test_volume_is_the_integral_of_the_determinant_in_every_layer(seed):
     """Within the prism over cell c the volume is the sum of w n_w dA over the pieces in c."""
-    net = random_net(seed, layers=24, resolution=11, spread=1.0)
-    warp = net.freeze()
-    ball = trimesh.creation.icosphere(2, 0.5)
+    warp = random_net(seed, layers=24, resolution=5, spread=1.0).freeze()
+    ball = trimesh.creation.icosphere(1, 0.3)
     points, faces = arrays(ball)
     first, layers = layers_of(warp)
     points = apply_affine(first, points)
@@ -160,8 +163,11 @@ def test_volume_is_the_integral_of_the_determinant_in_every_layer(seed):
         image = polygons.points[: polygons.n_vertices]
         got = analyse(image, pieces).volume
         assert abs(got - expected) <= 1e-9 * expected, f"layer {k}, seed {seed}"
-        # The next layer takes the vertices' image; its volume is another one, and that is fine.
-        points = apply_affine(torch.from_numpy(layer.tables.transitions[1]).view(3, 4), one(points))
+        after = torch.from_numpy(layer.tables.transitions[1]).view(3, 4)
+        points, faces = apply_affine(after, image), pieces
+    assert len(faces) > 100 * len(ball.faces)
+    whole = iw.deform(ball, warp, method="exact")
+    assert analyse(points, faces).volume == pytest.approx(analyse(*arrays(whole)).volume, rel=1e-9)
 
 
 def test_the_identity_changes_nothing_but_the_triangles():
@@ -197,11 +203,28 @@ def test_given_vertices_go_where_the_map_takes_them(seed):
     np.testing.assert_array_equal(image.vertices[: len(mesh.vertices)], warp(arrays(mesh)[0]))
 
 
-def test_the_result_does_not_depend_on_threads_or_repetition(seed):
-    mesh, warp = random_pair(seed)
-    first, second = (iw.deform(mesh, warp, method="exact") for _ in range(2))
-    np.testing.assert_array_equal(first.vertices, second.vertices)
-    np.testing.assert_array_equal(first.faces, second.faces)
+DIGEST = """
+import hashlib, trimesh, implicit_warp as iw
+from tests.implicit_warp.registered_maps import random_net
+ball = trimesh.creation.icosphere(5, 0.6)
+image = iw.deform(ball, random_net(3, layers=3, resolution=6).freeze(), method="exact")
+digest = hashlib.sha256(image.vertices.tobytes() + image.faces.tobytes()).hexdigest()
+"""
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
+def test_the_result_does_not_depend_on_the_number_of_threads():
+    here: dict[str, str] = {}
+    exec(DIGEST, here)
+    environment = os.environ | {"NUMBA_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
+    there = subprocess.run(
+        [sys.executable, "-c", DIGEST + "import numba\nprint(numba.get_num_threads(), digest)"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert there.stdout.split() == ["2", here["digest"]]
 
 
 # ------------------------------------------------------------------ difficult places
@@ -292,11 +315,6 @@ def test_open_and_non_manifold_meshes_stay_what_they_are(seed):
         assert (len(before.open_edges) > 0) == (len(after.open_edges) > 0)
         assert not len(after.pinched_vertices)
         assert not len(self_intersections(*arrays(image)))
-        rims = [
-            np.linalg.norm(np.diff(arrays(m)[0][t.open_edges], axis=1), axis=-1).sum()
-            for m, t in ((mesh, before), (image, after))
-        ]
-        assert rims[1] != rims[0]
 
 
 def test_no_face_one_face_and_faces_that_are_none(seed):
@@ -414,13 +432,12 @@ def test_the_report_counts(seed):
 )
 def test_bad_arguments_are_named(change, words, seed):
     warp = random_warp(seed, layers=2)
-    bad = trimesh.Trimesh([[0, 0, 0], [1, 0, np.nan], [0, 1, 0]], [[0, 1, 2]], process=False)
-    maps = {"inverse": warp.inv, "mixed": warp @ warp.inv}
-    arguments = {"mesh": trimesh.creation.box(), "map_": warp, "method": "exact"} | change
-    if arguments["mesh"] == "nan" if isinstance(arguments["mesh"], str) else False:
-        arguments["mesh"] = bad
-    if isinstance(arguments["map_"], str):
-        arguments["map_"] = maps[arguments["map_"]]
+    broken = trimesh.Trimesh([[0, 0, 0], [1, 0, np.nan], [0, 1, 0]], [[0, 1, 2]], process=False)
+    named = {"inverse": warp.inv, "mixed": warp @ warp.inv, "nan": broken}
+    arguments = {"mesh": trimesh.creation.box(), "map_": warp, "method": "exact"}
+    for name, value in change.items():
+        known = isinstance(value, str) and value in named
+        arguments[name] = named[value] if known else value
     with pytest.raises(InputError, match=words):
         iw.deform_mesh(**arguments)
 

@@ -275,7 +275,8 @@ def test_evidence_is_not_checked_in_its_turn(folder, monkeypatch):
 
 
 def test_evidence_that_cannot_be_written_changes_no_verdict(folder, capsys):
-    (folder / "shown").write_text("a file")
+    (folder / "shown").mkdir()
+    (folder / "shown" / "parts").write_text("a file where a folder should be")
     assert main(["check", "parts", "--evidence", "shown"]) == 1
     shown = capsys.readouterr()
     assert "no picture" in shown.err
@@ -438,3 +439,24 @@ def test_a_terminal_shows_a_bar_and_loses_no_report(folder, monkeypatch, capsys)
     shown = capsys.readouterr()
     assert shown.out.count(": passed,") == 2
     assert "parts/crossing.off: failed" in shown.out
+
+
+def test_evidence_that_cannot_be_written_is_refused_before_the_work(tmp_path, capsys):
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    (tmp_path / "file").write_text("")
+    code = main(["check", str(tmp_path / "box.ply"), "--evidence", str(tmp_path / "file" / "x")])
+    assert code == 2
+    assert "no writable folder" in capsys.readouterr().err
+
+
+def test_evidence_never_becomes_a_mesh_to_check(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "parts").mkdir()
+    trimesh.creation.box().export(tmp_path / "parts" / "box.ply")
+    (tmp_path / "shown").mkdir()
+    trimesh.creation.box().export(tmp_path / "shown" / "old.ply")
+    for folder in ("parts", ".", str(tmp_path)):
+        assert main(["check", "parts", "--evidence", folder]) == 2
+        assert "choose a folder of its own" in capsys.readouterr().err
+    assert main(["check", "**/*.ply", "--evidence", "shown"]) == 0
+    assert "old.ply" not in capsys.readouterr().out
