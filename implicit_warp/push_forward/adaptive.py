@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from implicit_warp.checking import self_intersections
+from implicit_warp.checking import analyse, self_intersections
 from implicit_warp.errors import InputError
 from implicit_warp.maps import Map
 from implicit_warp.mesh_files import merge_equal_vertices
@@ -102,13 +102,8 @@ def divide_and_push(
         used = images[faces].reshape(-1, 3)
         diagonal = float(np.linalg.norm(np.ptp(used, axis=0))) if len(used) else 0.0
         tolerance = RELATIVE_TOLERANCE * diagonal or 1.0  # a single point is flat enough
-    if until_clean and len(touching := _faces_in_contact(points, faces)):
-        raise InputError(
-            "until_clean",
-            True,
-            f"{len(touching)} faces of the given mesh intersect already, and so will their images",
-            "repair it first, or leave until_clean out",
-        )
+    if until_clean:
+        _refuse_unclean(points, faces)
     state = Subdivision(
         points,
         images,
@@ -123,6 +118,21 @@ def divide_and_push(
     if until_clean:
         _divide_until_clean(state, map_, progress)
     return state, tolerance
+
+
+def _refuse_unclean(points: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
+    """Raise if no division can make the image clean, because the mesh is not."""
+    for bad, what in (
+        (_faces_in_contact(points, faces), "intersect already, and so will their images"),
+        (analyse(points, faces).zero_area_faces, "have no area, and their parts will overlap"),
+    ):
+        if len(bad):
+            raise InputError(
+                "until_clean",
+                True,
+                f"{len(bad)} faces of the given mesh {what}",
+                "repair it first, or leave until_clean out",
+            )
 
 
 class _Edges:

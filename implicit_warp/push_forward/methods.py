@@ -26,6 +26,9 @@ Method = Literal["vertices", "adaptive", "exact"]
 METHODS: tuple[Method, ...] = ("vertices", "adaptive", "exact")
 Precision = Literal["float32", "float64"]
 
+_LARGEST = 1e100
+"""Largest coordinate taken: squares of images, stretched by whatever map, stay finite."""
+
 Progress = Callable[[int, int], None]
 
 
@@ -190,4 +193,11 @@ def _refuse_non_finite(vertices: NDArray[np.float64]) -> None:
             vertices[bad[0]].tolist(),
             f"{len(bad)} vertices are NaN or infinite, the first is vertex {bad[0]}",
             "repair the mesh first; check names all of them",
+        )
+    if len(vertices) and np.abs(vertices).max() > _LARGEST:
+        raise InputError(
+            "mesh",
+            float(np.abs(vertices).max()),
+            f"a coordinate beyond {_LARGEST:g}, where lengths overflow",
+            "give the mesh in larger units",
         )

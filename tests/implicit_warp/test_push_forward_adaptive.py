@@ -145,6 +145,13 @@ def test_impossible_wishes_are_refused_with_the_reason(monkeypatch, seed):
     two = trimesh.util.concatenate([ball, ball.copy().apply_translation((0.4, 0.1, 0.05))])
     with pytest.raises(InputError, match="intersect already"):
         iw.deform(two, iw.Affine(), method="adaptive", until_clean=True)
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False)
+    with pytest.raises(InputError, match="no area"):
+        iw.deform(flat, random_warp(seed), method="adaptive", until_clean=True)
+    huge = trimesh.creation.box().apply_scale(1e200)
+    for method in ("adaptive", "exact"):
+        with pytest.raises(InputError, match="overflow"):
+            iw.deform(huge, random_warp(seed), method=method)
     monkeypatch.setattr(adaptive, "_MOST_FACES", 500)
     with pytest.raises(InputError, match="larger tolerance"):
         iw.deform(ball, random_warp(seed), method="adaptive", tolerance=1e-5)
