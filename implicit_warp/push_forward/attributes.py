@@ -8,10 +8,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from implicit_warp.errors import InputError
 from implicit_warp.push_forward.lineage import Lineage
 
 if TYPE_CHECKING:
     import trimesh
+
+
+def refuse_attributes(source: trimesh.Trimesh) -> None:
+    """Raise `InputError` where an attribute does not have one entry a vertex, or a face."""
+    visual, of_vertices = source.visual, dict(source.vertex_attributes)
+    if visual.kind == "texture":
+        of_vertices |= visual.vertex_attributes
+    for attributes, count, owner in (
+        (of_vertices, len(source.vertices), "vertices"),
+        (source.face_attributes, len(source.faces), "faces"),
+    ):
+        for name, values in attributes.items():
+            if len(values) != count:
+                raise InputError(
+                    "mesh",
+                    name,
+                    f"this attribute has {len(values)} entries, the mesh {count} {owner}",
+                    "set it anew, or delete it",
+                )
 
 
 def carry_attributes(

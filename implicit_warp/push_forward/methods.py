@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from numbers import Real
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ from implicit_warp.checking.mesh_arrays import mesh_arrays
 from implicit_warp.errors import InputError
 from implicit_warp.jit import parallel_kernel
 from implicit_warp.maps import Map
-from implicit_warp.push_forward.attributes import carry_attributes
+from implicit_warp.push_forward.attributes import carry_attributes, refuse_attributes
 from implicit_warp.push_forward.lineage import Lineage
 from implicit_warp.push_forward.report import PushForwardReport
 
@@ -83,6 +84,8 @@ def deform_mesh(
     _refuse_bad_precision(method, clean_for)
     vertices, faces = mesh_arrays(mesh)
     _refuse_non_finite(vertices)
+    if isinstance(mesh, trimesh.Trimesh):
+        refuse_attributes(mesh)
     repeated = (faces == np.roll(faces, -1, 1)).any(axis=1)
     dropped = np.empty(0, np.int64) if method == "vertices" else np.flatnonzero(repeated)
     kept = np.delete(np.arange(len(faces)), dropped)
@@ -167,7 +170,8 @@ def _refuse_bad_options(
             raise InputError(
                 name, value, f'method "{method}" has no such option', 'use method="adaptive"'
             )
-    if tolerance is not None and not 0.0 < tolerance < np.inf:
+    is_number = isinstance(tolerance, Real) and not isinstance(tolerance, bool)
+    if tolerance is not None and not (is_number and 0.0 < tolerance < np.inf):
         raise InputError(
             "tolerance", tolerance, "not a positive distance", "give it in units of the image"
         )

@@ -134,7 +134,7 @@ def test_empty_flat_and_pointlike_meshes():
     assert len(iw.deform(point, warp, method="adaptive").faces) == 1
 
 
-@pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan, np.inf, "0.1", True, [0.1]])
 def test_tolerances_must_be_positive(tolerance):
     with pytest.raises(InputError, match="not a positive distance"):
         iw.deform(trimesh.creation.box(), iw.Affine(), method="adaptive", tolerance=tolerance)
@@ -165,3 +165,12 @@ def test_impossible_wishes_are_refused_with_the_reason(monkeypatch, seed):
     )
     with pytest.raises(InputError, match="still intersect"):
         iw.deform(mesh, random_warp(number), method="adaptive", tolerance=1e6, until_clean=True)
+
+
+@pytest.mark.parametrize("method", ["vertices", "adaptive", "exact"])
+@pytest.mark.parametrize("owner", ["vertex", "face"])
+def test_attributes_of_the_wrong_length_are_named(method, owner, seed):
+    box = trimesh.creation.box()
+    getattr(box, f"{owner}_attributes")["charge"] = np.arange(5)
+    with pytest.raises(InputError, match=r"mesh = charge.*5 entries"):
+        iw.deform_mesh(box, random_warp(seed), method)
