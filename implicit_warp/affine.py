@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from fields.arguments import direction
 from implicit_warp.certificate import Certificate, as_region
 from implicit_warp.errors import InputError
 from implicit_warp.layers import invert_affine
@@ -18,8 +19,6 @@ from implicit_warp.maps import Map
 if TYPE_CHECKING:
     from implicit_warp.layer_geometry import Transitions
     from implicit_warp.local_bounds import LocalBounds
-
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class Affine(Map):
@@ -162,16 +161,9 @@ def rotation_matrix(axis, degrees: float) -> np.ndarray:
 
 def axis_vector(axis) -> np.ndarray:
     """The unit vector of an axis given by name or as three numbers."""
-    if isinstance(axis, str):
-        if axis not in _AXES:
-            raise InputError("axis", axis, "no axis of that name", 'use "x", "y", "z" or a vector')
-        return np.array(_AXES[axis])
-    vector = _array("axis", axis, (3,))
-    largest = np.abs(vector).max()
-    if largest == 0.0:
-        raise InputError("axis", axis, "a zero vector has no direction", 'use e.g. "z"')
-    vector = vector / largest  # or its squares could over- or underflow
-    return vector / np.linalg.norm(vector)
+    if isinstance(axis, str) and axis not in ("x", "y", "z"):
+        raise InputError("axis", axis, "no axis of that name", 'use "x", "y", "z" or a vector')
+    return np.array(direction("axis", axis))
 
 
 def _axis_and_angle(rotate):

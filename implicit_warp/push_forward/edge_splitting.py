@@ -7,14 +7,11 @@ from numba import prange
 
 from implicit_warp.jit import inlined, parallel_kernel
 from implicit_warp.push_forward.families import (
-    BAND,
-    COLUMNS,
     OUTSIDE,
-    RISING,
-    ROWS,
     level_value,
     levels_between,
     offset_from_level,
+    onto_level,
 )
 
 CHUNK = 4096
@@ -101,17 +98,7 @@ def _place(points, a, b, vertex, family, level, fractions):
     t = min(max(da / (da - db), 0.0), 1.0)
     u = points[a, 0] + t * (points[b, 0] - points[a, 0])
     v = points[a, 1] + t * (points[b, 1] - points[a, 1])
-    # The other coordinate is not touched: an edge along a line of an earlier pass stays on it.
-    if family == COLUMNS:
-        u = level * max(1.0, abs(v))
-    elif family == BAND:
-        v = level
-    elif family == ROWS:
-        v = level * max(1.0, abs(u))
-    elif family == RISING:
-        v = u - level
-    else:
-        v = level - u
+    u, v = onto_level(family, u, v, level)
     points[vertex, 0] = u
     points[vertex, 1] = v
     points[vertex, 2] = points[a, 2] + t * (points[b, 2] - points[a, 2])

@@ -72,6 +72,23 @@ def offset_from_level(family, u, v, level):
     return (u + v) - level
 
 
+@inlined
+def onto_level(family, u, v, level):
+    """(u, v) moved onto the level along one axis.
+
+    The other coordinate is not touched: an edge along a line of an earlier pass stays on it.
+    """
+    if family == BAND:
+        return u, level
+    if family == COLUMNS:
+        return level * _bend(family, u, v), v
+    if family == ROWS:
+        return u, level * _bend(family, u, v)
+    if family == RISING:
+        return u, u - level
+    return u, level - u
+
+
 @parallel_kernel
 def classify(points, count, family, levels, half, near, snap, codes):
     """Give every vertex its code; the smallest and largest code."""

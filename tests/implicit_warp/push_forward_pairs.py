@@ -51,6 +51,21 @@ def random_mesh(rng: np.random.Generator, size: float = 1.0) -> trimesh.Trimesh:
     return mesh
 
 
+def arrays(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces."""
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def split_ball() -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
+    """A ball, and the same where every face of the upper part has vertices of its own."""
+    ball = trimesh.creation.icosphere(2, 0.6)
+    upper = ball.triangles_center[:, 0] > 0.05
+    vertices = np.concatenate([ball.vertices, ball.vertices[ball.faces[upper]].reshape(-1, 3)])
+    faces = ball.faces.copy()
+    faces[upper] = len(ball.vertices) + np.arange(3 * upper.sum()).reshape(-1, 3)
+    return ball, trimesh.Trimesh(vertices, faces, process=False)
+
+
 def random_pair(seed: int, size: float = 1.0) -> tuple[trimesh.Trimesh, iw.Warp]:
     """A mesh and a warp of 1 to 24 layers, such that the image has some thousand faces."""
     rng = np.random.default_rng(seed)

@@ -18,6 +18,7 @@ from implicit_warp.maps import Map
 from implicit_warp.orientation import smallest_area
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
+from tests.implicit_warp.map_files import rewrite
 from tests.implicit_warp.registered_maps import BUILDERS, random_affine, random_net, random_warp
 
 MAPS = pytest.mark.parametrize("build", BUILDERS.values(), ids=BUILDERS.keys())
@@ -164,17 +165,6 @@ def test_bad_arguments_are_named(seed):
         certify(random_affine(seed), BOX[::-1])
     with pytest.raises(InputError, match="shape"):
         certify(random_affine(seed), [1.0, 2.0])
-
-
-def rewrite(path, change):
-    from safetensors import safe_open
-    from safetensors.torch import save_file
-
-    with safe_open(path, framework="pt") as file:
-        metadata = dict(file.metadata())
-        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    change(metadata, tensors)
-    save_file(tensors, path, metadata=metadata)
 
 
 @pytest.fixture

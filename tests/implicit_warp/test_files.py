@@ -6,13 +6,13 @@ import os
 
 import pytest
 import torch
-from safetensors import safe_open
 from safetensors.torch import save_file
 
 import implicit_warp as iw
 from implicit_warp.errors import FileFormatError, InputError, NotInjective
 from implicit_warp.files import atomic_write, load, read_metadata, save
 from implicit_warp.maps import Map
+from tests.implicit_warp.map_files import rewrite
 from tests.implicit_warp.registered_maps import BUILDERS, random_warp
 
 
@@ -63,14 +63,6 @@ def test_other_contents_are_refused(saved, tmp_path):
         load(other)
     with pytest.raises(InputError, match="no such file"):
         load(tmp_path / "none.safetensors")
-
-
-def rewrite(path, change):
-    with safe_open(path, framework="pt") as file:
-        metadata = dict(file.metadata())
-        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    change(metadata, tensors)
-    save_file(tensors, path, metadata=metadata)
 
 
 def test_newer_version_is_refused_by_name(saved):

@@ -19,14 +19,10 @@ from implicit_warp.mesh_files import merge_equal_vertices
 from implicit_warp.push_forward.exact import cut_and_push, layers_of
 from implicit_warp.push_forward.triangulation import triangulate
 from implicit_warp.square_mesh import rest_forms, square_mesh
-from tests.implicit_warp.push_forward_pairs import compare, failures, random_pair
+from tests.implicit_warp.push_forward_pairs import arrays, compare, failures, random_pair
 from tests.implicit_warp.registered_maps import random_affine, random_net, random_warp
 
 PAIRS = 300
-
-
-def arrays(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def cells_of(points: np.ndarray, resolution: int) -> np.ndarray:

@@ -11,12 +11,8 @@ from implicit_warp.checking import analyse, self_intersections
 from implicit_warp.errors import InputError
 from implicit_warp.mesh_files import merge_equal_vertices
 from implicit_warp.push_forward import adaptive
-from tests.implicit_warp.push_forward_pairs import compare
+from tests.implicit_warp.push_forward_pairs import arrays, compare, split_ball
 from tests.implicit_warp.registered_maps import BUILDERS, random_warp
-
-
-def arrays(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def samples(mesh: trimesh.Trimesh, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -112,13 +108,7 @@ def test_until_clean_removes_self_intersections_that_vertices_leave(seed):
 
 
 def test_both_sides_of_a_seam_are_divided_alike(seed):
-    ball = trimesh.creation.icosphere(2, 0.6)
-    upper = ball.triangles_center[:, 0] > 0.05
-    # Every face of the upper part gets vertices of its own.
-    vertices = np.concatenate([ball.vertices, ball.vertices[ball.faces[upper]].reshape(-1, 3)])
-    faces = ball.faces.copy()
-    faces[upper] = len(ball.vertices) + np.arange(3 * upper.sum()).reshape(-1, 3)
-    split = trimesh.Trimesh(vertices, faces, process=False)
+    _, split = split_ball()
     image, report = iw.deform_mesh(split, random_warp(seed), "adaptive", tolerance=0.01)
     assert report.rounds > 2
     joined = merge_equal_vertices(*arrays(image))

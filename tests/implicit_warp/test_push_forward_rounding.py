@@ -12,12 +12,8 @@ from implicit_warp.cli import main
 from implicit_warp.errors import InputError
 from implicit_warp.mesh_files import merge_equal_vertices, read_mesh, write_mesh
 from implicit_warp.push_forward.rounding import settle
-from tests.implicit_warp.push_forward_pairs import compare
+from tests.implicit_warp.push_forward_pairs import arrays, compare, split_ball
 from tests.implicit_warp.registered_maps import random_net
-
-
-def arrays(mesh: trimesh.Trimesh) -> tuple[np.ndarray, np.ndarray]:
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def shifted_warp(seed: int, shift: float) -> iw.Map:
@@ -68,12 +64,7 @@ def test_a_mesh_without_contacts_is_only_rounded(seed):
 
 def test_seams_stay_closed_when_edges_on_them_collapse(seed):
     """Every face of one half has vertices of its own, so most collapsed edges lie on seams."""
-    ball = trimesh.creation.icosphere(2, 0.6)
-    upper = ball.triangles_center[:, 0] > 0.05
-    vertices = np.concatenate([ball.vertices, ball.vertices[ball.faces[upper]].reshape(-1, 3)])
-    faces = ball.faces.copy()
-    faces[upper] = len(ball.vertices) + np.arange(3 * upper.sum()).reshape(-1, 3)
-    split = trimesh.Trimesh(vertices, faces, process=False)
+    ball, split = split_ball()
     image, report = iw.deform_mesh(split, shifted_warp(seed, 1e4), "exact", clean_for="float32")
     assert report.collapsed > 20
     assert report.self_intersections == 0
