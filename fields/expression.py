@@ -21,6 +21,11 @@ Derivatives where none exists are chosen as follows, and are always finite:
 sqrt at 0           0 (hence the gradient of a distance is 0 at its own centre)
 sqrt below 0        value 0, derivative 0 (such values come from rounding only)
 absolute at 0       0
+floor               0 everywhere
+log at or below 0   value: the logarithm of the least positive normal number of the
+                    dtype; derivative 0
+power, base <= 0    value 0, derivative 0
+atan2 at (0, 0)     value 0, derivative 0
 minimum, maximum    the mean of both sides at a tie
 where_negative      the derivative of the branch that is taken
 ==================  ==========================================================
@@ -136,6 +141,22 @@ def _sqrt(value: Tensor) -> Tensor:
     return torch.where(flat, 0, torch.sqrt(torch.where(flat, 1, value)))
 
 
+def _log(value: Tensor) -> Tensor:
+    least = torch.finfo(value.dtype).tiny
+    return torch.log(torch.where(value < least, least, value))
+
+
+def _power(base: Tensor, exponent: Tensor) -> Tensor:
+    flat = base <= 0
+    return torch.where(flat, 0, torch.pow(torch.where(flat, 1, base), exponent))
+
+
+def _atan2(y: Tensor, x: Tensor) -> Tensor:
+    # The derivative at the origin is 0 / 0; there x is replaced by a constant.
+    nowhere = (x == 0) & (y == 0)
+    return torch.atan2(torch.where(nowhere, 0, y), torch.where(nowhere, 1, x))
+
+
 def _where_negative(condition: Tensor, negative: Tensor, otherwise: Tensor) -> Tensor:
     return torch.where(condition < 0, negative, otherwise)
 
@@ -149,12 +170,17 @@ OPERATIONS: dict[str, Operation] = {
         Operation("sqrt", 1, _sqrt),
         Operation("sin", 1, torch.sin),
         Operation("cos", 1, torch.cos),
+        Operation("floor", 1, torch.floor),
+        Operation("exp", 1, torch.exp),
+        Operation("log", 1, _log),
         Operation("add", 2, torch.add),
         Operation("subtract", 2, torch.sub),
         Operation("multiply", 2, torch.mul),
         Operation("divide", 2, torch.div),
         Operation("minimum", 2, torch.minimum),
         Operation("maximum", 2, torch.maximum),
+        Operation("atan2", 2, _atan2),
+        Operation("power", 2, _power),
         Operation("where_negative", 3, _where_negative),
     )
 }
@@ -302,6 +328,36 @@ def sin(value: Operand) -> Expression:
 def cos(value: Operand) -> Expression:
     """The cosine of an angle in radians."""
     return apply("cos", value)
+
+
+def floor(value: Operand) -> Expression:
+    """The largest whole number that is not above value; derivative 0."""
+    return apply("floor", value)
+
+
+def exp(value: Operand) -> Expression:
+    """e**value."""
+    return apply("exp", value)
+
+
+def log(value: Operand) -> Expression:
+    """The natural logarithm; see the module's table for values at or below 0."""
+    return apply("log", value)
+
+
+def atan2(y: Operand, x: Operand) -> Expression:
+    """The angle of the vector (x, y), in radians from -pi to pi; 0 at the origin."""
+    return apply("atan2", y, x)
+
+
+def power(base: Operand, exponent: Operand) -> Expression:
+    """base**exponent for a base that is not negative; 0 with derivative 0 at a base <= 0."""
+    return apply("power", base, exponent)
+
+
+def modulo(value: Operand, period: float) -> Expression:
+    """value - period * floor(value / period), in [0, period) for a positive period."""
+    return value - period * floor(value / period)
 
 
 def minimum(first: Operand, *others: Operand) -> Expression:

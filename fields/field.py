@@ -10,18 +10,21 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from fields import arguments, notation, operations
+from fields import arguments, notation
+from fields.base import made
 from fields.errors import InputError
 from fields.expression import Expression, X, Y, Z, call, remap
+from fields.methods.combinations import Combinations
+from fields.methods.motions import Motions
 from fields.notation import Call, History, Opaque
-from fields.operations import RULES, Body, Rule
+from fields.operations import Body
 from fields.oracle import FunctionOracle, Oracle
 from fields.tags import EVERYWHERE, Tags
 from fields.tape import Tape
 
 
 @final
-class Field:
+class Field(Combinations, Motions):
     """A scalar function on R^3 whose zero set is a surface; negative inside.
 
     Immutable. Made by the primitives (`fields.sphere` and so on), combined with `|`
@@ -41,12 +44,7 @@ class Field:
         InputError: an argument is not of the kind described.
     """
 
-    __slots__ = ("_body", "_tape", "history")
-
-    _body: Body
-    _tape: Tape | None
-    history: History
-    """How the field was made; what `repr` writes."""
+    __slots__ = ()
 
     def __init__(
         self,
@@ -184,111 +182,6 @@ class Field:
                 result = torch.zeros_like(at)
         return result if isinstance(points, Tensor) else result.numpy()
 
-    # --- combinations ---
-
-    def __or__(self, other: Field) -> Field:
-        return self.union(other) if isinstance(other, Field) else NotImplemented
-
-    def __and__(self, other: Field) -> Field:
-        return self.intersection(other) if isinstance(other, Field) else NotImplemented
-
-    def __sub__(self, other: Field) -> Field:
-        return self.difference(other) if isinstance(other, Field) else NotImplemented
-
-    def union(self, *others: Field, smooth: float = 0.0) -> Field:
-        """The points in any of the fields: min(a, b, ...).
-
-        Args:
-            others: fields to unite with.
-            smooth: blend radius k, a field value. Where two values differ by less than
-                k the crease is replaced by a quadratic blend (Quilez's polynomial smooth
-                minimum), continuous in the gradient, which adds material up to k/4
-                thick. Blends are applied from left to right; their order matters.
-
-        Returns:
-            The union. Exact only if the parts are and their bounds are apart. Bounds are
-            lost if `smooth` > 0 and a part is a remapped field without `growth`.
-        """
-        return _derived(operations.union, (self, *others), smooth=smooth)
-
-    def intersection(self, *others: Field, smooth: float = 0.0) -> Field:
-        """The points in all of the fields: max(a, b, ...). Not exact.
-
-        Args:
-            others: fields to intersect with.
-            smooth: blend radius as for `union`; the blend removes material.
-        """
-        return _derived(operations.intersection, (self, *others), smooth=smooth)
-
-    def difference(self, *others: Field, smooth: float = 0.0) -> Field:
-        """The points in this field and in none of the others: max(a, -b, ...). Not exact.
-
-        Args:
-            others: fields to take away.
-            smooth: blend radius as for `union`; the blend removes material.
-        """
-        return _derived(operations.difference, (self, *others), smooth=smooth)
-
-    def negate(self) -> Field:
-        """The complement: -a, with inside and outside exchanged. Unbounded."""
-        return _derived(operations.negate, (self,))
-
-    # --- motions ---
-
-    def translate(self, offset: ArrayLike) -> Field:
-        """Moved by a vector."""
-        return _derived(operations.translate, (self,), offset=offset)
-
-    def rotate(self, rotation: float | ArrayLike, axis: str | ArrayLike = "z") -> Field:
-        """Turned about the origin.
-
-        Args:
-            rotation: an angle in degrees, right-handed about `axis`; or a 3x3 rotation
-                matrix R, which sends each point p of the field to R p.
-            axis: "x", "y", "z", one of these with a minus sign, or a vector of any
-                length. Not used with a matrix.
-
-        Raises:
-            InputError: the matrix is not a rotation to 1e-6, or the axis is zero.
-        """
-        return _derived(operations.rotate, (self,), rotation=rotation, axis=axis)
-
-    def orient(self, axis: str | ArrayLike) -> Field:
-        """Turned about the origin by the shortest way that sends +z to `axis`.
-
-        Args:
-            axis: "x", "y", "z", one of these with a minus sign, or a vector of any
-                length. For "-z" it is the half turn about x.
-        """
-        return _derived(operations.orient, (self,), axis=axis)
-
-    def scale(self, factor: float | ArrayLike) -> Field:
-        """Scaled about the origin.
-
-        Args:
-            factor: one positive factor, which keeps an exact field exact; or three,
-                one an axis, which keeps the Lipschitz bound but not exactness.
-        """
-        return _derived(operations.scale, (self,), factor=factor)
-
-    # --- thickness ---
-
-    def offset(self, distance: float) -> Field:
-        """Grown by a distance, or shrunk by a negative one: a - distance.
-
-        Of a distance it is the true offset surface; the field remains a distance only
-        outside it (grown) or inside (shrunk), so it is not tagged exact.
-        """
-        return _derived(operations.offset, (self,), distance=distance)
-
-    def shell(self, thickness: float) -> Field:
-        """The surface made solid, half of the thickness on each side: |a| - thickness/2.
-
-        The surface itself vanishes. Not exact. Of a field that is not a distance the
-        thickness varies.
-        """
-        return _derived(operations.shell, (self,), thickness=thickness)
-
     # --- under a map ---
 
     def remap(
@@ -333,11 +226,7 @@ class Field:
 
 def make_field(body: Body, history: History) -> Field:
     """A field from a body and a record of how it was made (for use in this package)."""
-    field = object.__new__(Field)
-    field._body = body
-    field._tape = None
-    field.history = history
-    return field
+    return made(Field, body, history)
 
 
 def from_function(
@@ -362,34 +251,17 @@ def from_function(
         InputError: an argument is not of the kind described. On evaluation: the function
             returned another shape, or no gradient where one was asked for.
     """
-    oracle = _as_oracle(function, name, outputs=1)
+    tags = _stated_tags(exact, lipschitz, bounds)
+    oracle = _as_oracle(function, name, outputs=1, lipschitz=tags.lipschitz)
     (value,) = call(oracle, (X, Y, Z))
-    return make_field(Body(value, _stated_tags(exact, lipschitz, bounds)), Opaque(oracle.name))
-
-
-def _derived(rule: Rule, operands: tuple[Field, ...], **given: object) -> Field:
-    """The field that a rule makes of others; `given` are its other arguments, in order."""
-    for operand in operands:
-        if not isinstance(operand, Field):
-            raise InputError(
-                "field",
-                operand,
-                f"{rule.__name__} takes fields",
-                "pass fields made by this package",
-            )
-    body = rule(*(operand._body for operand in operands), **given)
-    if len(operands) == 1 and rule.__name__ in ("union", "intersection", "difference"):
-        return operands[0]
-    return make_field(
-        body, notation.recorded(rule.__name__, operands, given, _RULE_DEFAULTS[rule.__name__])
-    )
-
-
-_RULE_DEFAULTS = {name: notation.defaults(rule) for name, rule in RULES.items()}
+    return make_field(Body(value, tags), Opaque(oracle.name))
 
 
 def _as_oracle(
-    function: Callable[[Tensor], Tensor] | Oracle, name: str | None, outputs: int
+    function: Callable[[Tensor], Tensor] | Oracle,
+    name: str | None,
+    outputs: int,
+    lipschitz: float | None = None,
 ) -> Oracle:
     if not callable(function):
         raise InputError(
@@ -399,7 +271,7 @@ def _as_oracle(
         name = getattr(function, "name", None) or getattr(function, "__name__", "function")
     if isinstance(function, Oracle) and function.outputs == outputs and function.name == name:
         return function
-    return FunctionOracle(function, str(name), outputs)
+    return FunctionOracle(function, str(name), outputs, lipschitz)
 
 
 def _stated_tags(

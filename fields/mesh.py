@@ -19,6 +19,7 @@ from fields.expression import X, Y, Z, call
 from fields.field import Field, make_field
 from fields.notation import Call, History, Opaque, literal
 from fields.operations import Body
+from fields.oracle import Boxes, enclose_by_lipschitz
 from fields.tags import Tags
 
 FORMATS = (".stl", ".obj", ".ply", ".off")
@@ -110,6 +111,10 @@ class MeshOracle:
     def __call__(self, points: Tensor) -> Tensor:
         """Signed distances `(..., 1)` at points `(..., 3)`."""
         return _SignedDistance.apply(points, self).unsqueeze(-1)
+
+    def enclose(self, boxes: Boxes) -> np.ndarray:
+        """A distance changes by at most one a unit of distance."""
+        return enclose_by_lipschitz(self, boxes, 1.0)
 
     def closest(self, points: np.ndarray) -> Closest:
         """Signed distances and their gradients at float64 points `(n, 3)`, in blocks."""

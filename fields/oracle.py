@@ -11,7 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
 from torch import Tensor
+
+Boxes = NDArray[np.float64]
+"""Boxes `(n, 2, 3)`, rows minimum and maximum."""
 
 
 @runtime_checkable
@@ -36,6 +42,28 @@ class Oracle(Protocol):
         """
         ...
 
+    def enclose(self, boxes: Boxes) -> NDArray[np.float64] | None:
+        """What the outputs can be on each of n boxes: `(n, outputs, 2)`, lower and upper bounds.
+
+        Rigorous, rounding included. None if nothing is known; single bounds may be infinite.
+        """
+        ...
+
+
+def enclose_by_lipschitz(oracle: Oracle, boxes: Boxes, lipschitz: float) -> NDArray[np.float64]:
+    """`Oracle.enclose` for one whose every output changes by at most so much a unit of distance.
+
+    The value at a box's centre, give or take the way to its corners. The value is computed in
+    float64, and 1e-9 of it (or of the box's distance from the origin) is allowed for its rounding.
+    """
+    centres = 0.5 * (boxes[:, 0] + boxes[:, 1])
+    with torch.no_grad():
+        values = oracle(torch.from_numpy(centres)).to("cpu", torch.float64).numpy()
+    reach = lipschitz * np.linalg.norm(boxes[:, 1] - centres, axis=1)
+    rounding = np.maximum(np.abs(values), lipschitz * np.linalg.norm(centres, axis=1)[:, None])
+    margin = (reach * (1 + 1e-9))[:, None] + 1e-9 * rounding
+    return np.stack([values - margin, values + margin], axis=-1)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FunctionOracle:
@@ -46,11 +74,13 @@ class FunctionOracle:
             also return `(...)`.
         name: a short word for `repr`.
         outputs: how many numbers it returns for a point.
+        lipschitz: a bound on the change of each output a unit of distance; None if unknown.
     """
 
     function: Callable[[Tensor], Tensor]
     name: str
     outputs: int = 1
+    lipschitz: float | None = None
 
     def __call__(self, points: Tensor) -> Tensor:
         """Values `(..., outputs)` at points `(..., 3)`."""
@@ -58,3 +88,9 @@ class FunctionOracle:
         if self.outputs == 1 and isinstance(values, Tensor) and values.shape == points.shape[:-1]:
             return values.unsqueeze(-1)
         return values
+
+    def enclose(self, boxes: Boxes) -> NDArray[np.float64] | None:
+        """By the Lipschitz bound, if there is one."""
+        if self.lipschitz is None:
+            return None
+        return enclose_by_lipschitz(self, boxes, self.lipschitz)

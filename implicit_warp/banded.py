@@ -21,7 +21,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from implicit_warp.jit import parallel_kernel
+from fields.jit import parallel_kernel
 from implicit_warp.square_mesh import SquareMesh
 
 

@@ -22,8 +22,8 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from fields.jit import kernel, parallel_kernel
 from implicit_warp import orientation
-from implicit_warp.jit import kernel, parallel_kernel
 from implicit_warp.layers import LayerStack
 from implicit_warp.matrix_norms import norms_2x2, spectral_norms
 

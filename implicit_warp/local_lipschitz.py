@@ -35,7 +35,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from implicit_warp.jit import kernel, parallel_kernel
+from fields.jit import kernel, parallel_kernel
 from implicit_warp.layer_geometry import Geometry, bucket_of
 from implicit_warp.local_bounds import LocalBounds, middle_and_half
 from implicit_warp.matrix_norms import norm_2x2, quick_norm, spectral_norm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from implicit_warp.jit import kernel
+from fields.jit import kernel
 
 _U = 2.0**-53
 

@@ -28,7 +28,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from implicit_warp.jit import inlined, kernel, parallel_kernel, point_kernel
+from fields.jit import inlined, kernel, parallel_kernel, point_kernel
 from implicit_warp.layers import LayerStack
 from implicit_warp.square_mesh import SquareMesh, rest_forms
 

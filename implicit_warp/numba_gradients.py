@@ -22,8 +22,8 @@ import torch
 from numba import prange
 from torch import Tensor
 
+from fields.jit import inlined, point_kernel
 from implicit_warp import numba_backend
-from implicit_warp.jit import inlined, point_kernel
 from implicit_warp.layers import LayerStack
 from implicit_warp.numba_backend import apply_cells
 from implicit_warp.numba_tables import tabulate

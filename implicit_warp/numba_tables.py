@@ -12,7 +12,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from implicit_warp.jit import kernel, parallel_kernel
+from fields.jit import kernel, parallel_kernel
 from implicit_warp.square_mesh import SquareMesh, rest_forms
 
 

@@ -41,10 +41,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fields.jit import kernel
 from implicit_warp.checking import exact
 from implicit_warp.checking.predicates import UNDERFLOW, UNIT_ROUNDOFF, orient2d, orient3d
 from implicit_warp.errors import NotInjective
-from implicit_warp.jit import kernel
 from implicit_warp.square_mesh import SquareMesh
 
 # Bound on the error of a computed 2 x 2 determinant relative to its terms: Shewchuk's, and

@@ -28,6 +28,8 @@ OURS = {*ALLOWED, "tests", "examples"}
 
 FIELDS_LIBRARIES = {"numpy", "torch"}
 FIELDS_ON_USE = {"fields/mesh.py": {"open3d"}}
+# Compiled kernels: these modules import numba, and are themselves imported on use.
+FIELDS_KERNELS = {"fields/jit.py"}
 
 HEAVY = ("open3d", "pymeshlab", "trimesh", "skimage", "manifold3d", "tyro", "rich", "PIL")
 
@@ -113,6 +115,8 @@ def fields_reason(item: Import, path: str) -> str | None:
     """Why `fields` may not import `item`, which is not the project's own, or None."""
     if item.top in sys.stdlib_module_names or item.top in FIELDS_LIBRARIES:
         return None
+    if item.top == "numba" and path in FIELDS_KERNELS:
+        return None
     if item.top not in FIELDS_ON_USE.get(path, set()):
         return "is not one of numpy, torch and the standard library"
     return None if item.deferred else "belongs inside the function that uses it"
@@ -131,6 +135,7 @@ class Refuse:
 sys.meta_path.insert(0, Refuse())
 sys.path.insert(0, {str(tree)!r})
 import fields, implicit_warp
+assert "numba" not in sys.modules  # kernels are loaded on use
 for package in (fields, implicit_warp):
     assert package.__file__.startswith({str(tree)!r}), package.__file__
     for name in getattr(package, "__all__", ()):

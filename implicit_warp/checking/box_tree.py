@@ -20,8 +20,8 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from fields.jit import kernel, parallel_kernel
 from implicit_warp.checking.pair_filter import CLEAR, pair_verdict
-from implicit_warp.jit import kernel, parallel_kernel
 
 LEAF = 4
 _CELLS = 2**21 - 1  # 21 bits a coordinate fill the 63 bits of a Morton code

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from implicit_warp.jit import kernel
+from fields.jit import kernel
 
 Indices = NDArray[np.int64]
 

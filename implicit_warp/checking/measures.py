@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fields.jit import kernel
 from implicit_warp.checking.predicates import UNDERFLOW, UNIT_ROUNDOFF
-from implicit_warp.jit import kernel
 
 # Shewchuk's bound of a 3 x 3 determinant of differences is 7 u times its permanent (see
 # `predicates`); the compensated sum adds about 2 u of every term. 12 u leaves room.

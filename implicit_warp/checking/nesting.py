@@ -23,12 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fields.jit import kernel
 from implicit_warp.checking import exact
 from implicit_warp.checking.box_tree import BoxTree, faces_over
 from implicit_warp.checking.predicates import finite_or_zero, orient2d, orient3d, unit_scaled
 from implicit_warp.checking.self_intersection import SelfIntersections
 from implicit_warp.checking.topology import Indices, Topology
-from implicit_warp.jit import kernel
 
 UNDECIDED = -1
 

@@ -11,8 +11,8 @@ degenerate triple, but its edge may pierce the other: a `CROSSING` needs certain
 
 from __future__ import annotations
 
+from fields.jit import kernel
 from implicit_warp.checking.predicates import has_area, orient2d, orient3d, side_of_plane
-from implicit_warp.jit import kernel
 
 CLEAR = 0
 CROSSING = 1

@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from implicit_warp.jit import kernel
+from fields.jit import kernel
 
 UNIT_ROUNDOFF = 2.0**-53
 UNDERFLOW = 2.0**-1000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from implicit_warp.jit import inlined, parallel_kernel
+from fields.jit import inlined, parallel_kernel
 from implicit_warp.push_forward.families import (
     OUTSIDE,
     level_value,

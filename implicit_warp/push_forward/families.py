@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from implicit_warp.jit import inlined, parallel_kernel
+from fields.jit import inlined, parallel_kernel
 
 BAND, COLUMNS, ROWS, RISING, FALLING = range(5)
 

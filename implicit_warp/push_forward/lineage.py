@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from implicit_warp.jit import kernel
+from fields.jit import kernel
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,9 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from fields.jit import parallel_kernel
 from implicit_warp.checking.mesh_arrays import mesh_arrays
 from implicit_warp.errors import InputError
-from implicit_warp.jit import parallel_kernel
 from implicit_warp.maps import Map
 from implicit_warp.push_forward.attributes import carry_attributes, refuse_attributes
 from implicit_warp.push_forward.lineage import Lineage

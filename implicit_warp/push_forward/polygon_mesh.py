@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fields.jit import kernel
 from implicit_warp.errors import InputError
-from implicit_warp.jit import kernel
 from implicit_warp.push_forward.lineage import Lineage
 
 _GROWTH = 1.5

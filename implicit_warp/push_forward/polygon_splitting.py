@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from implicit_warp.jit import kernel, parallel_kernel
+from fields.jit import kernel, parallel_kernel
 from implicit_warp.push_forward.edge_splitting import CHUNK
 from implicit_warp.push_forward.families import OUTSIDE, levels_between
 

@@ -15,7 +15,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from implicit_warp.jit import inlined, kernel, parallel_kernel
+from fields.jit import inlined, kernel, parallel_kernel
 from implicit_warp.push_forward.polygon_mesh import PolygonMesh
 
 _CHUNK = 4096

@@ -28,12 +28,17 @@ MEANING = {
     "sqrt": lambda a: np.sqrt(np.maximum(a, 0)),
     "sin": np.sin,
     "cos": np.cos,
+    "floor": np.floor,
+    "exp": np.exp,
+    "log": lambda a: np.log(np.maximum(a, np.finfo(np.float64).tiny)),
     "add": np.add,
     "subtract": np.subtract,
     "multiply": np.multiply,
     "divide": np.divide,
     "minimum": np.minimum,
     "maximum": np.maximum,
+    "atan2": np.arctan2,
+    "power": lambda a, b: np.where(a > 0, np.abs(a) ** b, 0),
     "where_negative": lambda c, a, b: np.where(c < 0, a, b),
 }
 
@@ -81,7 +86,6 @@ def test_expressions_are_immutable_and_not_pickled():
     [
         (X + 0, X), (0 + X, X), (X - 0, X), (X * 1, X), (1 * X, X), (X / 1, X),
         (X * 0, ex.constant(0)), (0 * X, ex.constant(0)), (0 - X, -X), (-(-X), X),  # noqa: B002
-
         (ex.minimum(X, X), X), (ex.maximum(X, X), X), (ex.constant(2) * 3 + 1, ex.constant(7)),
     ],
 )  # fmt: skip

@@ -1,0 +1,1 @@
+"""The methods of `fields.Field`, by topic."""

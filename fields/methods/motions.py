@@ -1,0 +1,68 @@
+"""Rigid motions and scalings of fields, and changes of their thickness."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from numpy.typing import ArrayLike
+
+from fields import operations
+from fields.base import FieldBase, derived
+
+
+class Motions(FieldBase):
+    """Methods of `fields.Field`."""
+
+    __slots__ = ()
+
+    def translate(self, offset: ArrayLike) -> Self:
+        """Moved by a vector."""
+        return derived(operations.translate, (self,), offset=offset)
+
+    def rotate(self, rotation: float | ArrayLike, axis: str | ArrayLike = "z") -> Self:
+        """Turned about the origin.
+
+        Args:
+            rotation: an angle in degrees, right-handed about `axis`; or a 3x3 rotation
+                matrix R, which sends each point p of the field to R p.
+            axis: "x", "y", "z", one of these with a minus sign, or a vector of any
+                length. Not used with a matrix.
+
+        Raises:
+            InputError: the matrix is not a rotation to 1e-6, or the axis is zero.
+        """
+        return derived(operations.rotate, (self,), rotation=rotation, axis=axis)
+
+    def orient(self, axis: str | ArrayLike) -> Self:
+        """Turned about the origin by the shortest way that sends +z to `axis`.
+
+        Args:
+            axis: "x", "y", "z", one of these with a minus sign, or a vector of any
+                length. For "-z" it is the half turn about x.
+        """
+        return derived(operations.orient, (self,), axis=axis)
+
+    def scale(self, factor: float | ArrayLike) -> Self:
+        """Scaled about the origin.
+
+        Args:
+            factor: one positive factor, which keeps an exact field exact; or three,
+                one an axis, which keeps the Lipschitz bound but not exactness.
+        """
+        return derived(operations.scale, (self,), factor=factor)
+
+    def offset(self, distance: float) -> Self:
+        """Grown by a distance, or shrunk by a negative one: a - distance.
+
+        Of a distance it is the true offset surface; the field remains a distance only
+        outside it (grown) or inside (shrunk), so it is not tagged exact.
+        """
+        return derived(operations.offset, (self,), distance=distance)
+
+    def shell(self, thickness: float) -> Self:
+        """The surface made solid, half of the thickness on each side: |a| - thickness/2.
+
+        The surface itself vanishes. Not exact. Of a field that is not a distance the
+        thickness varies.
+        """
+        return derived(operations.shell, (self,), thickness=thickness)

@@ -1,0 +1,49 @@
+"""The command ``implicit-warp extract``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from implicit_warp.commands.common import (
+    Common,
+    Out,
+    write_and_check,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extract(Common):
+    """Turn a field script (or re-mesh a closed mesh) into a checked mesh.
+
+    Example: implicit-warp extract part.py -o part.stl --resolution 256
+    """
+
+    shape: Positional[Path]
+    """Field script (.py) or mesh file."""
+    out: Out
+    """The mesh: .stl, .obj, .ply, .off, .glb or .3mf."""
+    resolution: int = 192
+    """Voxels along the longest side of the shape's box."""
+    at_wall: Literal["error", "close"] = "error"
+    """What to do where the shape reaches the edge of its box: refuse, or close it there."""
+
+    def run(self) -> int:
+        """Carry out the command; returns the exit code."""
+        from implicit_warp.extraction import extract
+        from implicit_warp.files import refuse_target
+        from implicit_warp.mesh_files import WRITABLE
+        from implicit_warp.progress import progress_bar
+        from implicit_warp.shapes import load_shape
+
+        refuse_target(self.out, WRITABLE)
+        shape = load_shape(self.shape)
+        with progress_bar("extract") as update:
+            mesh = extract(shape, self.resolution, at_wall=self.at_wall, progress=update)
+        return write_and_check(mesh, self.out)
