@@ -21,6 +21,7 @@ from implicit_warp.benchmark import Machine, Report, Row, Settings, run_benchmar
 from implicit_warp.benchmark.fresh_process import PEAK_MEMORY, run_fresh
 from implicit_warp.benchmark.report import number
 from implicit_warp.benchmark.timing import Contender, race, wall
+from implicit_warp.commands.common import BAD_INPUT, GOOD
 from implicit_warp.errors import InputError
 from implicit_warp.files import save
 
@@ -232,7 +233,7 @@ def test_bad_settings_are_explained(changes, message):
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without CUDA")
 def test_a_missing_gpu_is_bad_input(capsys):
-    assert cli.main(["bench", "--device", "cuda"]) == cli.BAD_INPUT
+    assert cli.main(["bench", "--device", "cuda"]) == BAD_INPUT
     assert "torch sees no CUDA device" in capsys.readouterr().err
 
 
@@ -246,7 +247,7 @@ def test_the_command_prints_the_report(as_json, report, monkeypatch, capsys):
 
     monkeypatch.setattr("implicit_warp.benchmark.run_benchmark", pretend)
     arguments = ["--json"] if as_json else ["--memory-points", "123"]
-    assert cli.main(["bench", "--quick", *arguments]) == cli.GOOD
+    assert cli.main(["bench", "--quick", *arguments]) == GOOD
     output = capsys.readouterr().out
     if as_json:
         assert Report.from_dict(json.loads(output)) == report
