@@ -46,7 +46,8 @@ class Info(Common):
                 facts |= {"layers": map_.n_layers, "resolution": map_.resolution}
                 if map_.report is not None:
                     solved = map_.report.to_dict()
-                    facts["solve"] = {k: solved[k] for k in ("status", "steps", "handle_error")}
+                    keys = ("status", "steps", "handle_error", "vertex_error", "gradient_error")
+                    facts["solve"] = {k: solved[k] for k in keys if solved.get(k) is not None}
         elif suffix == ".py":
             shape = load_shape(self.file)
             bounds = None if shape.bounds is None else shape.bounds.tolist()
