@@ -135,6 +135,11 @@ class Tape:
     def __len__(self) -> int:
         return len(self.instructions)
 
+    @property
+    def calls(self) -> bool:
+        """Does it call an oracle?"""
+        return any(instruction.kind == "call" for instruction in self.instructions)
+
     def evaluate(self, points: Tensor) -> Tensor:
         """Values `(...)` at points `(..., 3)`, in their dtype and on their device.
 

@@ -85,16 +85,44 @@ def _deform_field(field: Field, map_: Map) -> Field:
     forward, backward = map_.lipschitz
     known = field.lipschitz is not None and backward is not None
 
-    def pull_back(points: Tensor) -> Tensor:
-        return map_._inverse(points.reshape(-1, 3)).reshape(points.shape)
-
     return field.remap(
-        pull_back,
+        PullBack(map_),
         lipschitz=field.lipschitz * backward if known else None,
         bounds=None if field.bounds is None else _image_bounds(field, map_),
         growth=forward if field.exact else None,
-        name=type(map_).__name__.lower(),
     )
+
+
+class PullBack:
+    """The inverse of a map as a leaf of fields' expressions.
+
+    Attributes:
+        map: the map itself, which carries fields forward.
+        name: its kind, for `repr`.
+        outputs: 3, the coordinates before the map.
+    """
+
+    outputs = 3
+
+    def __init__(self, map_: Map) -> None:
+        self.map = map_
+        self.name = type(map_).__name__.lower()
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """Where points `(..., 3)` come from."""
+        return self.map._inverse(points.reshape(-1, 3)).reshape(points.shape)
+
+    def enclose(self, boxes: np.ndarray) -> np.ndarray | None:
+        """Boxes `(n, 3, 2)` around where boxes `(n, 2, 3)` come from; None for maps that know none.
+
+        A millionth of their size wider than the map's own bounds: those are for float64.
+        """
+        try:
+            places = self.map.inv.enclose_image(boxes)
+        except InputError:  # the kind of map has no bounds, or not on such boxes
+            return None
+        slack = 1e-6 * np.abs(places).max(axis=(1, 2), initial=0.0)[:, None]
+        return np.stack([places[:, 0] - slack, places[:, 1] + slack], axis=-1)
 
 
 @torch.no_grad()

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 import fields as sdf
-from implicit_warp import extraction
+from implicit_warp import extraction  # noqa
 from implicit_warp.checking import check
 from implicit_warp.errors import InputError
 from implicit_warp.extraction import NEAREST, extract
-from implicit_warp.lattice import lattice_for
+from implicit_warp.extraction.lattice import lattice_for
 
 
 def field_of_samples(values: np.ndarray) -> tuple[sdf.Field, np.ndarray]:
