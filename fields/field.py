@@ -148,6 +148,11 @@ class Field(Combinations, Motions):
         """
         return self.tape.evaluate(points)
 
+    def value_and_gradient(self, points):  # TEMPORARY
+        with torch.no_grad():
+            v = self.evaluate(points)
+        return v, self.gradient(points)
+
     def enclose(self, boxes, dtype=None):
         # TEMPORARY
         c = boxes.mean(axis=1); r = np.linalg.norm(boxes[:, 1] - c, axis=1)

@@ -49,6 +49,8 @@ class Surface(NamedTuple):
         faces: (F, 3) int64, outward.
         uses: (V,) in how many cells the edge was met; 4 if the search was complete.
         cell_edges: (n, 12) the vertex on each edge of each cell, -1 where there is none.
+        patterns: (n,) the sign pattern of each cell.
+        first_face: (n + 1,) where the faces of each cell begin.
     """
 
     low_ends: NDArray[np.int64]
@@ -57,6 +59,8 @@ class Surface(NamedTuple):
     faces: NDArray[np.int64]
     uses: NDArray[np.int64]
     cell_edges: NDArray[np.int32]
+    patterns: NDArray[np.uint8]
+    first_face: NDArray[np.int64]
 
 
 def march(cells: Cells) -> Surface:
@@ -71,7 +75,7 @@ def march(cells: Cells) -> Surface:
     first_face = np.concatenate([[0], np.cumsum(n_faces)])
     faces = np.empty((int(first_face[-1]), 3), np.int64)
     _fill_faces(patterns, cell_edges, first_face, tables().triangles, faces)
-    return Surface(low_ends + low, axes, ends, faces, uses, cell_edges)
+    return Surface(low_ends + low, axes, ends, faces, uses, cell_edges, patterns, first_face)
 
 
 def crossed_cells_of_blocks(
@@ -238,8 +242,8 @@ def _name_edges(corners, values, patterns, extent, most):
                 if vertex < valid[x & 1]:
                     if found == capacity:  # an incomplete search meets edges less than four times
                         capacity *= 2
-                        axes, uses = _longer(axes, capacity), _longer(uses, capacity)
-                        low_ends, ends = _taller(low_ends, capacity), _taller(ends, capacity)
+                        axes, uses = longer(axes, capacity), longer(uses, capacity)
+                        low_ends, ends = taller(low_ends, capacity), taller(ends, capacity)
                     vertex = found
                     found += 1
                     numbers[x & 1, at] = vertex
@@ -256,14 +260,16 @@ def _name_edges(corners, values, patterns, extent, most):
 
 
 @kernel
-def _longer(array, size):
+def longer(array, size):
+    """The same entries with more room."""
     result = np.empty(size, array.dtype)
     result[: len(array)] = array
     return result
 
 
 @kernel
-def _taller(array, size):
+def taller(array, size):
+    """The same rows with more room."""
     result = np.empty((size, array.shape[1]), array.dtype)
     result[: len(array)] = array
     return result

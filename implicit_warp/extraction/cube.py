@@ -12,8 +12,8 @@ the tables of Lorensen and Cline as scikit-image has them, with which the tests 
 A loop is filled by a fan around one of its points, chosen so that no diagonal lies in a face of the
 cube.  So the triangles do not intersect, wherever on their edges the points are: seen from the
 fan's point, the faces of the cube that do not hold it cover each direction once, and the rest of
-the loop lies on those.  (And a diagonal in a face could be one of the neighbour's as well.)  The few
-patterns of two loops whose fans could meet are covered by tests.
+the loop lies on those.  (And a diagonal in a face could be one of the neighbour's as well.)  The
+few patterns of two loops whose fans could meet are covered by tests.
 """
 
 from __future__ import annotations

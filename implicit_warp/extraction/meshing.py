@@ -42,7 +42,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fields import Field
 from implicit_warp.errors import InputError, MissingDependency
@@ -51,6 +51,7 @@ from implicit_warp.extraction.cells import Cells, Surface, march, middles
 from implicit_warp.extraction.lattice import Lattice, lattice_for
 from implicit_warp.extraction.placement import placed
 from implicit_warp.extraction.samples import Sampler
+from implicit_warp.extraction.sharp import sharpened
 from implicit_warp.extraction.walls import refuse_inside_at_walls
 
 if TYPE_CHECKING:
@@ -124,6 +125,7 @@ def extract_mesh(
     at_wall: Literal["error", "close"] = "error",
     level: float = 0.0,
     search: Search = "auto",
+    sharp: bool = False,
     polishing: int = POLISHING,
     dtype: torch.dtype = torch.float32,
     block: int = 1 << 17,
@@ -143,6 +145,7 @@ def extract_mesh(
             caps it there with a flat face (within `NEAREST` of a voxel of the wall).
         level: the value of the surface; other than 0 it may leave the field's own bounds.
         search: how the cells at the surface are found; see the module's docstring.
+        sharp: put vertices on the edges and corners of the shape, as `sharp` explains.
         polishing: rounds of root finding along the lattice edges, after the first guess by linear
             interpolation. Each evaluates the field once a vertex.
         dtype: of the points and values, torch.float32 or torch.float64. Vertices are float64.
@@ -181,9 +184,11 @@ def extract_mesh(
     if not len(surface.faces):
         _refuse_empty(sampler)
     advance()
-    vertices = lattice.origin + lattice.voxel * placed(surface, sampler, polishing)
+    vertices, faces = placed(surface, sampler, polishing), surface.faces
+    if sharp:
+        vertices, faces, _ = sharpened(surface, cells.corners, vertices, sampler)
     advance()
-    mesh = trimesh.Trimesh(vertices, surface.faces, process=False)
+    mesh = trimesh.Trimesh(lattice.origin + lattice.voxel * vertices, faces, process=False)
     report = ExtractionReport(
         search=chosen,
         resolution=resolution,
@@ -193,7 +198,7 @@ def extract_mesh(
         lattice_samples=lattice_samples,
         cells=len(cells.corners),
         vertices=len(vertices),
-        faces=len(surface.faces),
+        faces=len(faces),
         seconds=time.perf_counter() - start,
         samples_at_rest=samples_at_rest,
     )

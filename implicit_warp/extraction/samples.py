@@ -106,6 +106,23 @@ class Sampler:
             self.highest = max(self.highest, float(result.max()))
         return result - NUMPY[self.dtype](self.level)
 
+    def value_and_gradient(
+        self, places: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(n,) values minus level, and (n, 3) gradients, at points (n, 3) in index coordinates.
+
+        Both are in units of a voxel where the field is a distance.
+        """
+        points = self.lattice.origin + self.lattice.voxel * places
+        values, gradients = np.empty(len(points)), np.empty((len(points), 3))
+        for b in range(0, len(points), self.batch):
+            at = torch.from_numpy(points[b : b + self.batch]).to(self.dtype)
+            value, gradient = self.field.value_and_gradient(at)
+            values[b : b + self.batch] = value.numpy()
+            gradients[b : b + self.batch] = gradient.numpy()
+        self.count += len(points)
+        return (values - self.level) / self.lattice.voxel, gradients
+
 
 @inlined
 def hashed(key):
