@@ -69,7 +69,7 @@ class Loop(NamedTuple):
 def loops(pattern: int) -> tuple[Loop, ...]:
     """The loops of a sign pattern, 0 to 4 of them."""
     onward: dict[int, tuple[int, int]] = {}
-    for face, (corners, edges) in enumerate(_face_cycles()):
+    for face, (corners, edges) in enumerate(face_cycles()):
         inside = [bool(pattern >> corner & 1) for corner in corners]
         # Edge i leads from corner i to the next one, counter-clockwise as seen from outside.
         entries = [i for i in range(4) if inside[(i + 1) % 4] and not inside[i]]
@@ -141,7 +141,7 @@ def tables() -> Tables:
 
 
 @cache
-def _face_cycles() -> list[tuple[list[int], list[int]]]:
+def face_cycles() -> list[tuple[list[int], list[int]]]:
     """Corners and edges of each face, counter-clockwise as seen from outside the cube."""
     edge_of = {frozenset(ends): edge for edge, ends in enumerate(EDGE_ENDS.T.tolist())}
     cycles = []
@@ -159,4 +159,4 @@ def _face_cycles() -> list[tuple[list[int], list[int]]]:
 
 
 def _share_a_face(first: int, second: int) -> bool:
-    return any(first in edges and second in edges for _, edges in _face_cycles())
+    return any(first in edges and second in edges for _, edges in face_cycles())

@@ -58,22 +58,12 @@ def _polished(
     for _ in range(steps):
         points = low_ends.astype(np.float64)
         points[rows, axes] += best
-        value = _in_batches(sampler, points)
+        value = sampler.value_at(points)
         same_as_a = (value < 0) == starts_inside
         size = np.abs(value)
         _narrow(best, size, same_as_a, a, b, at_a, at_b, kept)
         best = _crossing(a, b, at_a, at_b)
     return best
-
-
-def _in_batches(sampler: Sampler, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    lattice = sampler.lattice
-    places = lattice.origin + lattice.voxel * points
-    parts = [
-        sampler.evaluate(places[i : i + sampler.batch])
-        for i in range(0, len(places), sampler.batch)
-    ]
-    return np.concatenate(parts).astype(np.float64)
 
 
 @parallel_kernel

@@ -106,6 +106,13 @@ class Sampler:
             self.highest = max(self.highest, float(result.max()))
         return result - NUMPY[self.dtype](self.level)
 
+    def value_at(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) values minus level at points (n, 3) in index coordinates of the lattice."""
+        points = self.lattice.origin + self.lattice.voxel * places
+        batches = range(0, len(points), self.batch)
+        parts = [self.evaluate(points[b : b + self.batch]) for b in batches]
+        return np.concatenate([np.empty(0), *parts])
+
     def value_and_gradient(
         self, places: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -8,13 +8,15 @@ Each is found again from the sides' values and gradients close to it, so that cu
 well as flat ones.  (The faces' points are the idea of cubical marching squares, Ho et al. 2005;
 the hubs that of extended marching cubes, Kobbelt et al. 2001.)
 
-A convex edge can pass between lattice points, through cells without any that is inside.  So a
-point may leave its face or cell, into cells that the surface does not cross otherwise.
+An edge can pass between lattice points where their signs do not show it; `doubled` finds that.
+
+The hub at a corner or a tip may lie outside of its cell, since those can come out of a cell's face
+without crossing any lattice edge.
 
 Guarantees: a face's point is made once for both of its cells, so the mesh stays watertight and
 manifold.  A fan whose hub is strictly inside its cell and whose loop lies on the cell's faces does
-not intersect itself and stays in the cell; no triangle of it is without area.  Where points have
-left, the faces around are tested exactly, and points that make others intersect are withdrawn.
+not intersect itself and stays in the cell; no triangle of it is without area.  Where hubs have
+left, the faces around are tested exactly, and hubs that make faces intersect are withdrawn.
 Non-guarantees: cells with more than one loop stay as they are, and so do the faces between two
 cells of which one is such a cell.  Edges of angles below `piercing.ANGLE` are left rounded off.
 Two edges that pass through one face of a cell are not seen.
@@ -29,19 +31,18 @@ from numpy.typing import NDArray
 
 from implicit_warp.checking.self_intersection import self_intersections
 from implicit_warp.extraction.cells import Surface
-from implicit_warp.extraction.hubs import (
-    Loops,
-    hubs_of,
-    loops_with_points,
-    loops_without_points,
-    spread,
-)
-from implicit_warp.extraction.piercing import piercing_points, sharp_segments
+from implicit_warp.extraction.doubled import Doubled, doubled_edges, traced
+from implicit_warp.extraction.hubs import hubs_of
+from implicit_warp.extraction.piercing import piercing_points, sharp_cells, sharp_segments
+from implicit_warp.extraction.rings import Rings, rings_of, with_points
 from implicit_warp.extraction.samples import Sampler
-from implicit_warp.extraction.sides import Occupied, units
+from implicit_warp.extraction.sides import Places, units
+
+_DOUBLINGS = 4
+"""How often more lattice edges are looked for that are crossed twice."""
 
 _ATTEMPTS = 4
-"""How often points that make faces intersect are withdrawn before all that have left are."""
+"""How often hubs that make faces intersect are withdrawn before all that have left are."""
 
 
 class Sharpened(NamedTuple):
@@ -73,67 +74,106 @@ def sharpened(
         sampler: of the field.
     """
     normals = units(sampler.value_and_gradient(vertices)[1])
-    occupied = Occupied(corners)
-    segments = sharp_segments(surface, corners, normals)
-    piercing, found, left = piercing_points(segments, vertices, normals, occupied, sampler)
-    may_leave = np.ones(len(corners), np.bool_)
-    blunt = spread(surface, normals)
+    sharp, tip = sharp_cells(surface, normals)
+    found = _find_edges(surface, corners, vertices, normals, np.flatnonzero(sharp), sampler)
+    blank = tip
+    blank[found.rings.cells[found.rings.cells < len(tip)]] = False
+    tips = rings_of(surface, np.flatnonzero(blank))
+    may_leave = np.ones(len(found.corners), np.bool_)
+    about = (found.points, found.normals, found.corners, may_leave, sampler)
     for attempt in range(_ATTEMPTS):
-        used = found.copy()
-        withdrawn = segments.number[~may_leave[segments.cell]]
-        used[withdrawn[left[withdrawn]]] = False
-        points = np.concatenate([vertices, piercing[used]])
-        number = len(vertices) + np.cumsum(used) - 1
-        kept = segments.where(used[segments.number])
-        edges = loops_with_points(surface, kept, number[kept.number])
-        blank = blunt.copy()
-        blank[edges.cells] = False
-        tips = loops_without_points(surface, np.flatnonzero(blank))
-        about = (points, normals, corners, occupied, may_leave, sampler)
-        edge_hubs, exact, edge_left = hubs_of(edges, *about)
+        hubs, exact, left = hubs_of(found.rings, *about)
         tip_hubs, tipped, tip_left = hubs_of(tips, *about)
-        loops = edges.joined(tips.where(tipped))
-        hubs = np.concatenate([edge_hubs, tip_hubs[tipped]])
-        faces, cell_of = _with_fans(surface, loops, len(points))
-        everything = np.concatenate([points, hubs])
-        roaming = np.concatenate(
-            [
-                kept.cell[left[kept.number]],
-                loops.cells[np.concatenate([edge_left, tip_left[tipped]])],
-            ]
-        )
+        rings = found.rings.joined(tips.where(tipped))
+        everything = np.concatenate([found.points, hubs, tip_hubs[tipped]])
+        faces, cell_of = _with_fans(surface, rings, len(found.points))
+        roaming = rings.cells[np.concatenate([left, tip_left[tipped]])]
         if not len(roaming):
             break
-        wrong = _intersecting_cells(everything, faces, cell_of, corners, roaming)
+        wrong = _intersecting_cells(everything, faces, cell_of, found.corners, roaming)
         if not len(wrong):
             break
         may_leave[wrong] = False
         if attempt == _ATTEMPTS - 2:
             may_leave[:] = False
     on_edge = np.concatenate([exact, np.ones(int(tipped.sum()), np.bool_)])
-    first = np.arange(len(vertices), len(points))
+    piercing = np.arange(found.first_piercing, len(found.points))
     return Sharpened(
-        everything, faces, np.concatenate([first, len(points) + np.flatnonzero(on_edge)])
+        everything, faces, np.concatenate([piercing, len(found.points) + np.flatnonzero(on_edge)])
+    )
+
+
+class _Edges(NamedTuple):
+    """Rings of cells with all points on edges of the shape.
+
+    Attributes:
+        corners: (n + m, 3) the crossed cells, and those that only doubled lattice edges cross.
+        points: (p, 3) crossings, of doubled edges too, then piercing points.
+        normals: (c, 3) unit, at the crossings.
+        rings: of the cells at edges.
+        first_piercing: the first point that is no crossing.
+    """
+
+    corners: NDArray[np.int64]
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    rings: Rings
+    first_piercing: int
+
+
+def _find_edges(
+    surface: Surface,
+    corners: NDArray[np.int64],
+    vertices: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    sampler: Sampler,
+) -> _Edges:
+    """Look for piercing points, and for doubled lattice edges until no more turn up."""
+    places, plain = Places(corners), rings_of(surface, cells)
+    doubled, rings, everywhere = Doubled.none(), plain, corners
+    points, at_points = vertices, normals
+    for attempt in range(_DOUBLINGS + 1):
+        segments = sharp_segments(rings, everywhere, at_points)
+        piercing = piercing_points(segments, points, at_points, sampler)
+        more = doubled.joined(doubled_edges(piercing, sampler))
+        if len(more.low) == len(doubled.low) or attempt == _DOUBLINGS:
+            break
+        crossings = more.crossings()
+        slopes = units(sampler.value_and_gradient(crossings)[1])
+        points, at_points = np.concatenate([vertices, crossings]), np.concatenate([normals, slopes])
+        everywhere, around, doubled = traced(surface, corners, places, more, at_points)
+        # Crossings of edges that were dropped stay behind unused, and are removed at the end.
+        rings = plain.where(~np.isin(plain.cells, around.cells)).joined(around)
+    kept = segments.where(piercing.found[segments.number])
+    number = len(points) + np.cumsum(piercing.found) - 1
+    rings = with_points(rings, kept.row, kept.step, number[kept.number])
+    return _Edges(
+        everywhere,
+        np.concatenate([points, piercing.points[piercing.found]]),
+        at_points,
+        rings,
+        len(points),
     )
 
 
 def _with_fans(
-    surface: Surface, loops: Loops, first_hub: int
+    surface: Surface, rings: Rings, first_hub: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The faces of all other cells, fans over the loops from their hubs; and the cell of each."""
     plain = np.ones(len(surface.patterns), np.bool_)
-    plain[loops.cells] = False
+    plain[rings.cells] = False
     cell_of = np.repeat(np.arange(len(plain)), np.diff(surface.first_face))
     kept = plain[cell_of]
-    place = np.arange(loops.points.shape[1])
-    loop, step = np.nonzero(place < loops.length[:, None])
-    onward = (step + 1) % loops.length[loop]
+    place = np.arange(rings.points.shape[1])
+    loop, step = np.nonzero(place < rings.length[:, None])
+    onward = (step + 1) % rings.length[loop]
     fans = np.stack(
-        [first_hub + loop, loops.points[loop, step], loops.points[loop, onward]], axis=1
+        [first_hub + loop, rings.points[loop, step], rings.points[loop, onward]], axis=1
     )
     return (
         np.concatenate([surface.faces[kept], fans]),
-        np.concatenate([cell_of[kept], loops.cells[loop]]),
+        np.concatenate([cell_of[kept], rings.cells[loop]]),
     )
 
 
@@ -145,10 +185,10 @@ def _intersecting_cells(
     roaming: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """Cells that have a part in an intersection, among those around cells with points outside."""
-    # A point goes at most one cell far, so its faces meet those of cells up to two cells away.
+    # A hub goes at most one cell far, so its faces meet those of cells up to two cells away.
     around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    reached = Occupied((corners[roaming][:, None] + around).reshape(-1, 3))
-    suspect = reached.among(corners)[cell_of]
+    reached = Places((corners[roaming][:, None] + around).reshape(-1, 3))
+    suspect = (reached.of(corners) >= 0)[cell_of]
     tested = faces[suspect]
     used, compact = np.unique(tested, return_inverse=True)
     found = self_intersections(vertices[used], compact.reshape(-1, 3))
