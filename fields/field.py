@@ -148,18 +148,6 @@ class Field(Combinations, Motions):
         """
         return self.tape.evaluate(points)
 
-    def value_and_gradient(self, points):  # TEMPORARY
-        with torch.no_grad():
-            v = self.evaluate(points)
-        return v, self.gradient(points)
-
-    def enclose(self, boxes, dtype=None):
-        # TEMPORARY
-        c = boxes.mean(axis=1); r = np.linalg.norm(boxes[:, 1] - c, axis=1)
-        if self.lipschitz is None: return np.stack([np.full(len(c), -np.inf), np.full(len(c), np.inf)], 1)
-        v = self(c); r = r * self.lipschitz * 1.001 + 1e-5
-        return np.stack([v - r, v + r], 1)
-
     @overload
     def gradient(self, points: Tensor) -> Tensor: ...
     @overload
