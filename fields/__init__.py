@@ -14,6 +14,7 @@ Needs numpy and torch; `mesh` imports Open3D when it is called.
 from __future__ import annotations
 
 from fields.errors import InputError, MissingDependency
+from fields.evaluators.choice import back_end
 from fields.field import Field, from_function
 from fields.mesh import mesh
 from fields.parse import parse
@@ -51,6 +52,7 @@ __all__ = [
     "InputError",
     "MissingDependency",
     "above",
+    "back_end",
     "behind",
     "below",
     "box",

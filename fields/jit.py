@@ -33,3 +33,6 @@ point_kernel = numba.njit(
 
 inlined = numba.njit(inline="always")
 """A piece of a kernel, compiled into its caller under the caller's options."""
+
+accurate = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})
+"""A piece of a kernel that may fuse multiplications with additions, whatever its caller may."""

@@ -29,7 +29,12 @@ OURS = {*ALLOWED, "tests", "examples"}
 FIELDS_LIBRARIES = {"numpy", "torch"}
 FIELDS_ON_USE = {"fields/mesh.py": {"open3d"}}
 # Compiled kernels: these modules import numba, and are themselves imported on use.
-FIELDS_KERNELS = {"fields/jit.py"}
+FIELDS_KERNELS = {
+    "fields/jit.py",
+    "fields/evaluators/intervals.py",
+    "fields/evaluators/slopes.py",
+    "fields/evaluators/values.py",
+}
 
 HEAVY = ("open3d", "pymeshlab", "trimesh", "skimage", "manifold3d", "tyro", "rich", "PIL")
 

@@ -62,7 +62,7 @@ def _undecided(sampler: Sampler, blocks: NDArray[np.int64], side: int) -> NDArra
     slack = np.finfo(NUMPY[sampler.dtype]).eps * np.abs(boxes).max(axis=(1, 2), initial=0.0)
     boxes[:, 0] -= slack[:, None]
     boxes[:, 1] += slack[:, None]
-    low, high = sampler.field.enclose(boxes, dtype=sampler.dtype).T
+    low, high = sampler.field.enclose(boxes, NUMPY[sampler.dtype]).T
     undecided = (low <= sampler.level) & (high >= sampler.level)
     if sampler.walled:  # beyond the walls all is outside, so an inside block there is crossed
         cut = (blocks < 0).any(axis=1) | (end > np.array(lattice.shape) - 1).any(axis=1)

@@ -227,7 +227,7 @@ def _chosen(search: Search, field: Field, level: float) -> str:
     if search == "auto":
         if can_guide:
             return "guided"
-        return "distance" if bounded and field.tape.calls else "enclosures"
+        return "distance" if bounded and field.tape.calls_oracles else "enclosures"
     if search == "guided" and not can_guide:
         raise InputError(
             "search",
