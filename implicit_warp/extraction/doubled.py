@@ -7,8 +7,8 @@ from the piercing points that lie beyond their face, confirmed by the field's ow
 crossings become vertices.  The rings of the four cells around are then traced anew, face by face.
 
 Guarantee: what is traced depends on each face alone, so that both cells of a face agree and rings
-close.  A doubled edge is dropped again if one of its cells would have more than one ring, or one of
-its faces more than four crossings.
+close.  A doubled edge is dropped again if one of its faces would have more than four crossings.
+Non-guarantee: a cell can come to have several rings, whose fans could meet.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ from implicit_warp.extraction.placement import NEAREST
 from implicit_warp.extraction.rings import Rings
 from implicit_warp.extraction.samples import Sampler
 from implicit_warp.extraction.sides import Places
+
+_MOST_RINGS = 6
+"""Rings of a cell: at least two crossings each, of twelve that four a face allow."""
 
 _HALVINGS = 24
 """Bisections that place a crossing to 1e-7 of a voxel."""
@@ -139,8 +142,9 @@ def traced(
     places: Places,
     doubled: Doubled,
     normals: NDArray[np.float64],
+    refused: NDArray[np.int64],
 ) -> Traced:
-    """The rings of the cells around doubled edges, which are dropped where there is no single one.
+    """The rings of the cells around doubled edges.
 
     Args:
         surface: of the crossed cells.
@@ -148,10 +152,12 @@ def traced(
         places: of these.
         doubled: the edges; their crossings are the vertices after those of the surface, in turn.
         normals: (v + 2 d, 3) unit, at all crossings.
+        refused: (r, 3) cells around which no edge may be doubled.
     """
-    first_vertex = len(surface.axes)
-    number = first_vertex + 2 * np.arange(len(doubled.low))
+    number = len(surface.axes) + 2 * np.arange(len(doubled.low))
+    good = (Places(refused).of(doubled.cells().reshape(-1, 3)) < 0).reshape(-1, 4).all(axis=1)
     while True:
+        doubled, number = doubled.where(good), number[good]
         around = doubled.cells()
         cells, row = np.unique(around.reshape(-1, 3), axis=0, return_inverse=True)
         row = row.reshape(-1, 4)
@@ -168,16 +174,16 @@ def traced(
             crossings[row[:, k], edge, 0] = number
             crossings[row[:, k], edge, 1] = number + 1
         place[~known] = len(corners) + np.arange(int((~known).sum()))
-        rings, single = Rings.blank(place), np.zeros(len(cells), np.bool_)
+        rings, sound = Rings.blank(np.repeat(place, _MOST_RINGS)), np.zeros(len(cells), np.bool_)
         cycles = face_cycles()
         _trace(
             patterns, crossings, normals, np.array([c for c, _ in cycles]),
-            np.array([e for _, e in cycles]), rings.length, rings.points, rings.faces, single,
+            np.array([e for _, e in cycles]), rings.length, rings.points, rings.faces, sound,
         )  # fmt: skip
-        good = single[row].all(axis=1)
+        good = sound[row].all(axis=1)
         if good.all():
+            rings = rings.where(rings.length > 0)
             return Traced(np.concatenate([corners, cells[~known]]), rings, doubled)
-        doubled, number = doubled.where(good), number[good]
 
 
 def _edge_of(offset: NDArray[np.int64], axis: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -188,8 +194,8 @@ def _edge_of(offset: NDArray[np.int64], axis: NDArray[np.int64]) -> NDArray[np.i
 
 
 @kernel
-def _trace(patterns, crossings, normals, face_corners, face_edges, length, points, faces, single):
-    """Follow the steps on the faces of every cell; `single` says where they make one ring.
+def _trace(patterns, crossings, normals, face_corners, face_edges, length, points, faces, sound):
+    """Follow the steps on the faces of every cell; `sound` unless a face has too many crossings.
 
     A crossing is named 2 * edge + (0 or 1), in the order along the edge.
     """
@@ -197,7 +203,7 @@ def _trace(patterns, crossings, normals, face_corners, face_edges, length, point
     met, entering = np.empty(8, np.int64), np.empty(8, np.bool_)
     for i in range(len(patterns)):
         onward[:] = -1
-        sound = True
+        most = 0
         for f in range(6):
             n = 0
             doubled = False
@@ -212,14 +218,8 @@ def _trace(patterns, crossings, normals, face_corners, face_edges, length, point
                     entering[n] = inside == 0
                     inside = 1 - inside
                     n += 1
-                    if n == 5:
-                        break
-                if n == 5:
-                    break
-            if n > 4:
-                sound = False
-                break
-            if n == 0:
+            most = max(most, n)
+            if n == 0 or n > 4:
                 continue
             entry = 0 if entering[0] else 1
             # Join the inside, as the tables do: the exit before the entry.
@@ -238,23 +238,19 @@ def _trace(patterns, crossings, normals, face_corners, face_edges, length, point
             for k in range(entry, n, 2):
                 onward[met[k]] = met[(k + step) % n]
                 across[met[k]] = f
-        if not sound:
+        sound[i] = most <= 4
+        if not sound[i]:
             continue
-        total = 0
-        start = -1
-        for k in range(24):
-            if onward[k] >= 0:
-                total += 1
-                if start < 0:
-                    start = k
-        at = start
-        n = 0
-        while n < total:
-            points[i, n] = crossings[i, at >> 1, at & 1]
-            faces[i, n] = across[at]
-            n += 1
-            at = onward[at]
-            if at == start or at < 0:
-                break
-        length[i] = n
-        single[i] = at == start and n == total and total >= 3
+        ring = i * _MOST_RINGS
+        for start in range(24):
+            if onward[start] < 0:
+                continue
+            at = start
+            while onward[at] >= 0:
+                points[ring, length[ring]] = crossings[i, at >> 1, at & 1]
+                faces[ring, length[ring]] = across[at]
+                length[ring] += 1
+                following = onward[at]
+                onward[at] = -1
+                at = following
+            ring += 1

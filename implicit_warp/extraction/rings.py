@@ -16,7 +16,7 @@ MOST = 36
 
 
 class Rings(NamedTuple):
-    """Closed polygons on the faces of cells, one a cell.
+    """Closed polygons on the faces of cells.
 
     Attributes:
         cells: (c,) the cell of each.

@@ -75,32 +75,51 @@ def sharpened(
     """
     normals = units(sampler.value_and_gradient(vertices)[1])
     sharp, tip = sharp_cells(surface, normals)
-    found = _find_edges(surface, corners, vertices, normals, np.flatnonzero(sharp), sampler)
-    blank = tip
-    blank[found.rings.cells[found.rings.cells < len(tip)]] = False
-    tips = rings_of(surface, np.flatnonzero(blank))
-    may_leave = np.ones(len(found.corners), np.bool_)
-    about = (found.points, found.normals, found.corners, may_leave, sampler)
+    refused = np.empty((0, 3), np.int64)
     for attempt in range(_ATTEMPTS):
+        last = attempt == _ATTEMPTS - 1
+        found = _find_edges(
+            surface, corners, vertices, normals, np.flatnonzero(sharp), refused, last, sampler
+        )
+        may_leave = np.full(len(found.corners), not last) & (Places(refused).of(found.corners) < 0)
+        about = (found.points, found.normals, found.corners, may_leave, sampler)
         hubs, exact, left = hubs_of(found.rings, *about)
+        blank = tip.copy()
+        blank[found.rings.cells[found.rings.cells < len(tip)]] = False
+        tips = rings_of(surface, np.flatnonzero(blank))
         tip_hubs, tipped, tip_left = hubs_of(tips, *about)
         rings = found.rings.joined(tips.where(tipped))
-        everything = np.concatenate([found.points, hubs, tip_hubs[tipped]])
+        points = np.concatenate([found.points, hubs, tip_hubs[tipped]])
         faces, cell_of = _with_fans(surface, rings, len(found.points))
-        roaming = rings.cells[np.concatenate([left, tip_left[tipped]])]
-        if not len(roaming):
-            break
-        wrong = _intersecting_cells(everything, faces, cell_of, found.corners, roaming)
+        unproved = _several(rings.cells)
+        unproved |= np.concatenate([left, tip_left[tipped]])
+        wrong = _intersecting_cells(
+            points, faces, cell_of, found.corners, np.unique(rings.cells[unproved])
+        )
         if not len(wrong):
             break
-        may_leave[wrong] = False
-        if attempt == _ATTEMPTS - 2:
-            may_leave[:] = False
+        refused = np.concatenate([refused, found.corners[wrong]])
     on_edge = np.concatenate([exact, np.ones(int(tipped.sum()), np.bool_)])
     piercing = np.arange(found.first_piercing, len(found.points))
-    return Sharpened(
-        everything, faces, np.concatenate([piercing, len(found.points) + np.flatnonzero(on_edge)])
+    return _without_unused(
+        points, faces, np.concatenate([piercing, len(found.points) + np.flatnonzero(on_edge)])
     )
+
+
+def _several(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which entries occur more than once."""
+    _, number, count = np.unique(cells, return_inverse=True, return_counts=True)
+    return count[number.reshape(-1)] > 1
+
+
+def _without_unused(
+    points: NDArray[np.float64], faces: NDArray[np.int64], on_edges: NDArray[np.int64]
+) -> Sharpened:
+    """Crossings of doubled edges that were dropped again are no vertices."""
+    used = np.zeros(len(points), np.bool_)
+    used[faces] = True
+    number = np.cumsum(used) - 1
+    return Sharpened(points[used], number[faces], number[on_edges[used[on_edges]]])
 
 
 class _Edges(NamedTuple):
@@ -127,6 +146,8 @@ def _find_edges(
     vertices: NDArray[np.float64],
     normals: NDArray[np.float64],
     cells: NDArray[np.int64],
+    refused: NDArray[np.int64],
+    no_doubling: bool,
     sampler: Sampler,
 ) -> _Edges:
     """Look for piercing points, and for doubled lattice edges until no more turn up."""
@@ -136,14 +157,17 @@ def _find_edges(
     for attempt in range(_DOUBLINGS + 1):
         segments = sharp_segments(rings, everywhere, at_points)
         piercing = piercing_points(segments, points, at_points, sampler)
-        more = doubled.joined(doubled_edges(piercing, sampler))
-        if len(more.low) == len(doubled.low) or attempt == _DOUBLINGS:
+        if no_doubling or attempt == _DOUBLINGS:
             break
+        more = doubled.joined(doubled_edges(piercing, sampler))
         crossings = more.crossings()
         slopes = units(sampler.value_and_gradient(crossings)[1])
-        points, at_points = np.concatenate([vertices, crossings]), np.concatenate([normals, slopes])
-        everywhere, around, doubled = traced(surface, corners, places, more, at_points)
-        # Crossings of edges that were dropped stay behind unused, and are removed at the end.
+        at_all = np.concatenate([normals, slopes])
+        trace = traced(surface, corners, places, more, at_all, refused)
+        if len(trace.doubled.low) == len(doubled.low):
+            break
+        everywhere, around, doubled = trace
+        points, at_points = np.concatenate([vertices, crossings]), at_all
         rings = plain.where(~np.isin(plain.cells, around.cells)).joined(around)
     kept = segments.where(piercing.found[segments.number])
     number = len(points) + np.cumsum(piercing.found) - 1
@@ -162,7 +186,7 @@ def _with_fans(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The faces of all other cells, fans over the loops from their hubs; and the cell of each."""
     plain = np.ones(len(surface.patterns), np.bool_)
-    plain[rings.cells] = False
+    plain[rings.cells[rings.cells < len(plain)]] = False
     cell_of = np.repeat(np.arange(len(plain)), np.diff(surface.first_face))
     kept = plain[cell_of]
     place = np.arange(rings.points.shape[1])
@@ -186,6 +210,8 @@ def _intersecting_cells(
 ) -> NDArray[np.int64]:
     """Cells that have a part in an intersection, among those around cells with points outside."""
     # A hub goes at most one cell far, so its faces meet those of cells up to two cells away.
+    if not len(roaming):
+        return roaming
     around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     reached = Places((corners[roaming][:, None] + around).reshape(-1, 3))
     suspect = (reached.of(corners) >= 0)[cell_of]
