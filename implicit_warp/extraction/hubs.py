@@ -124,7 +124,17 @@ def hubs_of(
     hubs = np.where(near[:, None], within(hubs, low), hubs)
     corner = ~np.isin(piercing.sum(axis=1), (1, 2))
     sound = (near | (corner & may_leave[rings.cells])) & on_surface(hubs, sampler)
+    middle[~sound] = _nearer_surface(middle[~sound], low[~sound], sampler)
     return np.where(sound[:, None], hubs, middle), sound, sound & ~near
+
+
+def _nearer_surface(
+    points: NDArray[np.float64], low: NDArray[np.float64], sampler: Sampler
+) -> NDArray[np.float64]:
+    """Points moved towards the surface along the gradient, within their cells."""
+    value, gradient = sampler.value_and_gradient(points)
+    size = np.maximum((gradient**2).sum(axis=1), np.finfo(np.float64).tiny)
+    return within(points - (value / size)[:, None] * gradient, low)
 
 
 def _least_squares(

@@ -60,8 +60,8 @@ if TYPE_CHECKING:
 Search = Literal["auto", "enclosures", "distance", "guided"]
 Progress = Callable[[int, int], None]
 
-POLISHING = 2
-"""Rounds in which vertices are moved towards the field's own zero on their lattice edges."""
+POLISHING = 8
+"""Most rounds in which vertices are moved towards the field's own zero on their lattice edges."""
 
 _STAGES = 4
 
@@ -146,8 +146,8 @@ def extract_mesh(
         level: the value of the surface; other than 0 it may leave the field's own bounds.
         search: how the cells at the surface are found; see the module's docstring.
         sharp: put vertices on the edges and corners of the shape, as `sharp` explains.
-        polishing: rounds of root finding along the lattice edges, after the first guess by linear
-            interpolation. Each evaluates the field once a vertex.
+        polishing: most rounds of root finding along the lattice edges, after the first guess by
+            linear interpolation; smooth surfaces need one or two.
         dtype: of the points and values, torch.float32 or torch.float64. Vertices are float64.
         block: points a call of the field; bounds the memory that the field uses.
         progress: called with the stages done and in all.

@@ -93,8 +93,13 @@ def sharpened(
         faces, cell_of = _with_fans(surface, rings, len(found.points))
         unproved = _several(rings.cells)
         unproved |= np.concatenate([left, tip_left[tipped]])
-        wrong = _intersecting_cells(
-            points, faces, cell_of, found.corners, np.unique(rings.cells[unproved])
+        wrong = np.concatenate(
+            [
+                _intersecting_cells(
+                    points, faces, cell_of, found.corners, np.unique(rings.cells[unproved])
+                ),
+                _torn_cells(rings, len(vertices), found.first_piercing),
+            ]
         )
         if not len(wrong):
             break
@@ -104,6 +109,23 @@ def sharpened(
     return _without_unused(
         points, faces, np.concatenate([piercing, len(found.points) + np.flatnonzero(on_edge)])
     )
+
+
+def _torn_cells(rings: Rings, first: int, end: int) -> NDArray[np.int64]:
+    """Cells around doubled lattice edges whose crossings follow each other in more than two rings.
+
+    The two are then joined on more than one face, by an edge that more than two faces of the mesh
+    share.
+    """
+    place = np.arange(rings.points.shape[1])
+    row, step = np.nonzero(place < rings.length[:, None])
+    a = rings.points[row, step]
+    b = rings.points[row, (step + 1) % rings.length[row]]
+    joined = (a >= first) & (a < end) & (b >= first) & (b < end) & (a != b)
+    edge = (a - first) // 2
+    joined &= edge == (b - first) // 2
+    times = np.bincount(edge[joined], minlength=(end - first) // 2)
+    return np.unique(rings.cells[row[joined][times[edge[joined]] > 2]])
 
 
 def _several(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
