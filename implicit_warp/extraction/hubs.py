@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fields.jit import kernel
+from implicit_warp.extraction.piercing import ANGLE
 from implicit_warp.extraction.rings import Rings
 from implicit_warp.extraction.samples import Sampler
 from implicit_warp.extraction.sides import (
@@ -28,51 +30,65 @@ class _Sides(NamedTuple):
         ring: (s,) the ring.
         middle: (s, 3) mean of the arc's crossings.
         normal: (s, 3) unit, their mean normal.
+        borders: (r,) how many edges of the shape each ring crosses.
     """
 
     ring: NDArray[np.int64]
     middle: NDArray[np.float64]
     normal: NDArray[np.float64]
+    borders: NDArray[np.int64]
 
 
 def _sides(rings: Rings, points: NDArray[np.float64], normals: NDArray[np.float64]) -> _Sides:
-    """Arcs between piercing points; every crossing by itself where there are less than two."""
+    """Arcs between piercing points, and between crossings with normals that differ where there is
+    none; every crossing by itself on rings that cross less than two edges."""
     count = int(rings.length.sum())
-    arc = np.empty(count, np.int64)
-    ring, vertex = np.empty(count, np.int64), np.empty(count, np.int64)
-    found, arcs = _find_arcs(rings.length, rings.points, len(normals), arc, ring, vertex)
+    arc, vertex = np.empty(count, np.int64), np.empty(count, np.int64)
+    ring, borders = np.empty(count, np.int64), np.zeros(len(rings.length), np.int64)
+    cosine = math.cos(math.radians(ANGLE))
+    found, arcs = _find_arcs(
+        rings.length, rings.points, normals, cosine, arc, ring, vertex, borders
+    )
     arc, ring, vertex = arc[:found], ring[:found], vertex[:found]
     size = np.bincount(arc, minlength=arcs)
     mean = [np.bincount(arc, points[vertex, k], arcs) / size for k in range(3)]
     normal = [np.bincount(arc, normals[vertex, k], arcs) for k in range(3)]
     of_arc = np.zeros(arcs, np.int64)
     of_arc[arc] = ring
-    return _Sides(of_arc, np.stack(mean, axis=1), units(np.stack(normal, axis=1)))
+    return _Sides(of_arc, np.stack(mean, axis=1), units(np.stack(normal, axis=1)), borders)
 
 
 @kernel
-def _find_arcs(length, points, n_crossings, arc, ring, vertex):
+def _find_arcs(length, points, normals, cosine, arc, ring, vertex, borders):
     found, arcs = 0, 0
+    splits = np.empty(64, np.bool_)
     for i in range(len(length)):
         n = length[i]
-        piercings, start = 0, 0
-        for j in range(n):
-            if points[i, j] >= n_crossings:
-                piercings += 1
+        start = 0
+        for j in range(n):  # is there an edge of the shape between this point and the one before?
+            a, b = points[i, j - 1 if j else n - 1], points[i, j]
+            if a >= len(normals):
+                splits[j] = False  # the piercing point itself was counted
+            elif b >= len(normals):
+                splits[j] = True
+            else:
+                dot = 0.0
+                for k in range(3):
+                    dot += normals[a, k] * normals[b, k]
+                splits[j] = dot < cosine
+            borders[i] += np.int64(splits[j])
+            if splits[j]:
                 start = j
         open_ = False
         for j in range(n):
-            p = points[i, (start + j) % n]
-            if p >= n_crossings:
-                arcs += np.int64(open_)
-                open_ = False
-                continue
-            arc[found], ring[found], vertex[found] = arcs, i, p
-            found += 1
-            open_ = True
-            if piercings < 2:
+            at = (start + j) % n
+            if open_ and (splits[at] or borders[i] < 2):
                 arcs += 1
                 open_ = False
+            if points[i, at] < len(normals):
+                arc[found], ring[found], vertex[found] = arcs, i, points[i, at]
+                found += 1
+                open_ = True
         arcs += np.int64(open_)
     return found, arcs
 
@@ -122,7 +138,7 @@ def hubs_of(
     outside = np.abs(hubs - low - 0.5).max(axis=1, initial=0.0) - 0.5
     near = outside < REACH
     hubs = np.where(near[:, None], within(hubs, low), hubs)
-    corner = ~np.isin(piercing.sum(axis=1), (1, 2))
+    corner = (sides.borders > 2) | ~piercing.any(axis=1)
     sound = (near | (corner & may_leave[rings.cells])) & on_surface(hubs, sampler)
     middle[~sound] = _nearer_surface(middle[~sound], low[~sound], sampler)
     return np.where(sound[:, None], hubs, middle), sound, sound & ~near
