@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from implicit_warp.extraction.cells import Cells, crossed_cells_of_blocks
 from implicit_warp.extraction.cube import CORNERS
-from implicit_warp.extraction.samples import NUMPY, Sampler
+from implicit_warp.extraction.samples import NUMPY, CornerSamples, Sampler
 
 BLOCK = 8
 """Cells along the side of the blocks that are sampled."""
@@ -27,31 +27,61 @@ _OFFSETS = np.stack(np.meshgrid(*[np.arange(BLOCK + 1)] * 3, indexing="ij"), axi
 
 def crossed_cells(sampler: Sampler) -> Cells:
     """All cells whose corners differ in sign."""
-    found = []
-    beyond = np.stack([sampler.first_cell, sampler.last_cell])
-    blocks = undecided_blocks(sampler, BLOCK)
-    at_once = max(1, sampler.batch // (BLOCK + 1) ** 3)
-    for block in np.array_split(blocks, max(1, -(-len(blocks) // at_once))):
-        points = block[:, None, None, None] + _OFFSETS
-        points = np.minimum(points, sampler.last_cell + 1)
-        values = sampler.at(points.reshape(-1, 3)).reshape(points.shape[:-1])
-        found.append(crossed_cells_of_blocks(block, values, beyond))
-    return Cells.joined(found, NUMPY[sampler.dtype])
-
-
-def undecided_blocks(sampler: Sampler, size: int) -> NDArray[np.int64]:
-    """(n, 3) low corners of the blocks of `size`^3 cells that the surface may meet."""
     first, last = sampler.first_cell, sampler.last_cell
     axes = [np.arange(a, b + 1, _COARSEST) for a, b in zip(first, last, strict=True)]
     blocks = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    side = _COARSEST
+    blocks = undecided_blocks(sampler, blocks, _COARSEST, BLOCK)
+    known = len(blocks) * BLOCK**3 < 0.5 * np.prod(last - first + 1.0)
+    if known and sampler.field.tape.calls_oracles:
+        return _without_repetition(sampler, blocks)
+    found = []
+    at_once = max(1, sampler.batch // (BLOCK + 1) ** 3)
+    for block in np.array_split(blocks, max(1, -(-len(blocks) // at_once))):
+        points = np.minimum(block[:, None, None, None] + _OFFSETS, last + 1)
+        values = sampler.at(points.reshape(-1, 3)).reshape(points.shape[:-1])
+        found.append(crossed_cells_of_blocks(block, values, np.stack([first, last])))
+    return Cells.joined(found, NUMPY[sampler.dtype])
+
+
+def _without_repetition(sampler: Sampler, blocks: NDArray[np.int64]) -> Cells:
+    """The same where samples are dear: smaller blocks, and each point once however many have it."""
+    finest = BLOCK // 2
+    blocks = undecided_blocks(sampler, split(blocks, finest, sampler.last_cell), finest, finest)
+    samples, found = CornerSamples(sampler), []
+    offsets = np.stack(np.meshgrid(*[np.arange(finest)] * 3, indexing="ij"), axis=-1)
+    for block in np.array_split(blocks, max(1, -(-8 * len(blocks) * finest**3 // sampler.batch))):
+        cells = (block[:, None] + offsets.reshape(-1, 3)).reshape(-1, 3)
+        cells = cells[(cells <= sampler.last_cell).all(axis=1)]
+        values = samples.of(cells)
+        inside = values < 0
+        crossed = inside.any(axis=1) & ~inside.all(axis=1)
+        found.append(Cells(cells[crossed], values[crossed]))
+    return Cells.joined(found, NUMPY[sampler.dtype])
+
+
+def undecided_blocks(
+    sampler: Sampler, blocks: NDArray[np.int64], side: int, finest: int
+) -> NDArray[np.int64]:
+    """(n, 3) low corners of the blocks of `finest`^3 cells that the surface may meet.
+
+    Args:
+        sampler: of the field.
+        blocks: (m, 3) low corners of the blocks to start from.
+        side: theirs, in cells.
+        finest: side of the blocks to end with.
+    """
     while True:
         blocks = blocks[_undecided(sampler, blocks, side)]
-        if side == size:
+        if side == finest:
             return blocks
         side //= 2
-        blocks = (blocks[:, None] + side * CORNERS).reshape(-1, 3)
-        blocks = blocks[(blocks <= last).all(axis=1)]
+        blocks = split(blocks, side, sampler.last_cell)
+
+
+def split(blocks: NDArray[np.int64], half: int, last: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The eight parts, of sides `half`, of every block; those beyond the last cell left out."""
+    parts = (blocks[:, None] + half * CORNERS).reshape(-1, 3)
+    return parts[(parts <= last).all(axis=1)]
 
 
 def _undecided(sampler: Sampler, blocks: NDArray[np.int64], side: int) -> NDArray[np.bool_]:

@@ -19,8 +19,8 @@ Only cells near the surface are sampled. How they are found is chosen by `search
                 (`nearby`): the fewest samples, for fields whose evaluation is the cost
 ``guided``      for a field carried by a map: its surface is found at rest, carried forward, and
                 followed (`guided`)
-``auto``        guided if the field is carried by a map, distance if it calls a function that has a
-                Lipschitz bound, enclosures for everything else
+``auto``        guided if the field is carried by a map, distance if it calls a function and has a
+                Lipschitz bound of at most `STEEPEST`, enclosures for everything else
 ==============  ==================================================================================
 
 Guarantees: the mesh is watertight, edge- and vertex-manifold, and oriented outward, whatever
@@ -62,6 +62,9 @@ Progress = Callable[[int, int], None]
 
 POLISHING = 8
 """Most rounds in which vertices are moved towards the field's own zero on their lattice edges."""
+
+STEEPEST = 8.0
+"""Largest Lipschitz bound with which balls about samples leave much out."""
 
 _STAGES = 4
 
@@ -222,12 +225,13 @@ def _chosen(search: Search, field: Field, level: float) -> str:
     """The search that "auto" means for a field; others are checked to fit it."""
     carried, bound = guided.carried(field), field.lipschitz
     bounded = bound is not None and np.isfinite(bound) and bound > 0
+    flat = bounded and bound <= STEEPEST
     # A level above zero lies beyond the bounds of the field at rest.
     can_guide = carried is not None and carried.rest.bounds is not None and level <= 0
     if search == "auto":
         if can_guide:
             return "guided"
-        return "distance" if bounded and field.tape.calls_oracles else "enclosures"
+        return "distance" if flat and field.tape.calls_oracles else "enclosures"
     if search == "guided" and not can_guide:
         raise InputError(
             "search",
