@@ -27,14 +27,9 @@ ALLOWED = {
 OURS = {*ALLOWED, "tests", "examples"}
 
 FIELDS_LIBRARIES = {"numpy", "torch"}
-FIELDS_ON_USE = {"fields/mesh.py": {"open3d"}}
+FIELDS_ON_USE = {"fields/mesh.py": {"open3d"}, "fields/evaluators/threads.py": {"numba"}}
 # Compiled kernels: these modules import numba, and are themselves imported on use.
-FIELDS_KERNELS = {
-    "fields/jit.py",
-    "fields/evaluators/intervals.py",
-    "fields/evaluators/slopes.py",
-    "fields/evaluators/values.py",
-}
+FIELDS_KERNELS = {"fields/jit.py"}
 
 HEAVY = ("open3d", "pymeshlab", "trimesh", "skimage", "manifold3d", "tyro", "rich", "PIL")
 

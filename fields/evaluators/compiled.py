@@ -18,14 +18,18 @@ from fields.evaluators.intervals import bounds_of
 from fields.evaluators.program import COORDINATES, OracleCall, Program, Stage, run_stages, stages_of
 from fields.evaluators.registers import WIDTH, assign_registers
 from fields.evaluators.slopes import slopes_at
+from fields.evaluators.threads import in_parts
 from fields.evaluators.values import values_at
 from fields.oracle import Boxes
 from fields.tape import Tape, called
 
 Array = NDArray[np.floating]
 
-CHUNK = 1 << 17
+CHUNK = 1 << 18
 """Points that are evaluated at a time."""
+
+PART, BOXES = 1 << 14, 1 << 8
+"""Points, and boxes, that a thread takes at a time."""
 
 ORACLE = 64.0
 """What is allowed for an oracle's own rounding, in units of the dtype's epsilon."""
@@ -92,7 +96,18 @@ class CompiledTape:
             stage = self.machines[index]
             found = np.empty((len(array), len(stage.places)), array.dtype)
             numbers = stage.numbers.astype(array.dtype)
-            values_at(stage.rows, numbers, stage.registers, stage.places, given, found)
+
+            def part(start: int, stop: int) -> None:
+                values_at(
+                    stage.rows,
+                    numbers,
+                    stage.registers,
+                    stage.places,
+                    given[start:stop],
+                    found[start:stop],
+                )
+
+            in_parts(part, len(array), PART)
             return list(found.T)
 
         def call(made: OracleCall, arguments: list[Array]) -> list[Array]:
@@ -121,15 +136,20 @@ class CompiledTape:
             stage = self.machines[index]
             found = np.empty((len(array), 4, len(stage.places)), array.dtype)
             numbers = stage.numbers.astype(array.dtype)
-            slopes_at(
-                stage.rows,
-                numbers,
-                stage.registers,
-                stage.places,
-                array,
-                np.ascontiguousarray(given),
-                found,
-            )
+            given = np.ascontiguousarray(given)
+
+            def part(start: int, stop: int) -> None:
+                slopes_at(
+                    stage.rows,
+                    numbers,
+                    stage.registers,
+                    stage.places,
+                    array[start:stop],
+                    given[start:stop],
+                    found[start:stop],
+                )
+
+            in_parts(part, len(array), PART)
             return list(np.moveaxis(found, -1, 0))
 
         def call(made: OracleCall, arguments: list[Array]) -> list[Array]:
@@ -162,18 +182,22 @@ class CompiledTape:
             given = np.stack([*np.moveaxis(coordinates, 1, 0), *inputs], axis=1)
             found = np.empty((len(boxes), len(program.outputs), 3))
             rounded = program.constants.astype(dtype).astype(np.float64)
-            bounds_of(
-                program.inputs,
-                program.codes,
-                program.arguments,
-                program.constants,
-                rounded,
-                program.outputs,
-                least,
-                rounding,
-                given,
-                found,
-            )
+
+            def part(start: int, stop: int) -> None:
+                bounds_of(
+                    program.inputs,
+                    program.codes,
+                    program.arguments,
+                    program.constants,
+                    rounded,
+                    program.outputs,
+                    least,
+                    rounding,
+                    given[start:stop],
+                    found[start:stop],
+                )
+
+            in_parts(part, len(boxes), BOXES)
             return list(np.moveaxis(found, 1, 0))
 
         def call(

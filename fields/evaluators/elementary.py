@@ -15,25 +15,25 @@ import math
 
 import numpy as np
 
-from fields.jit import accurate, kernel
+from fields.jit import accurate, piece
 
 HUGE = 1e6
 """Angles beyond this many radians need a longer pi than `sine` and `cosine` have."""
 
 
-@kernel
+@piece
 def root(a):
     """The square root; 0 below 0."""
     return 0.0 if a <= 0 else np.sqrt(a)
 
 
-@kernel
+@piece
 def minimum(a, b):
     """The smaller one; NaN if either is NaN."""
     return a if (a < b) | (a != a) else b
 
 
-@kernel
+@piece
 def maximum(a, b):
     """The larger one; NaN if either is NaN."""
     return a if (a > b) | (a != a) else b
@@ -258,7 +258,7 @@ def power_single(base, exponent):
     return 0.0 if is_flat else value
 
 
-@kernel
+@piece
 def power_double(base, exponent):
     """base**exponent to float64's precision, by the C library; 0 at a base <= 0."""
     return 0.0 if base <= 0.0 else math.pow(base, exponent)

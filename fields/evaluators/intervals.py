@@ -23,10 +23,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
 from fields.evaluators import opcodes as op
-from fields.jit import kernel, parallel_kernel
+from fields.jit import inlined, kernel, piece
 
 BOTH, FIRST, SECOND = 0, 1, 2
 """What was found out about a choice (minimum, maximum, where_negative, absolute): which of the
@@ -37,7 +36,7 @@ ELEMENTARY = 8.0
 """How much wider the margin of elementary functions is than that of arithmetic."""
 
 
-@kernel
+@piece
 def _outwards(low, high, margin, tiny, largest):
     """Bounds moved outwards by a relative margin; NaN becomes "unknown"."""
     low = low - abs(low) * margin - tiny if abs(low) < np.inf else low
@@ -53,24 +52,24 @@ def _outwards(low, high, margin, tiny, largest):
     return low, high
 
 
-@kernel
+@piece
 def _size(low, high):
     return max(abs(low), abs(high))
 
 
-@kernel
+@piece
 def _product(a, b):
     return 0.0 if a == 0.0 or b == 0.0 else a * b  # bounds stand for finite numbers
 
 
-@kernel
+@piece
 def _multiply(al, ah, bl, bh):
     first, second = _product(al, bl), _product(al, bh)
     third, fourth = _product(ah, bl), _product(ah, bh)
     return min(first, second, third, fourth), max(first, second, third, fourth)
 
 
-@kernel
+@piece
 def _divide(al, ah, bl, bh):
     if bl <= 0.0 <= bh:
         return -np.inf, np.inf
@@ -80,14 +79,14 @@ def _divide(al, ah, bl, bh):
     return min(first, second, third, fourth), max(first, second, third, fourth)
 
 
-@kernel
+@piece
 def _square(low, high):
     nearest = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))
     farthest = _size(low, high)
     return nearest * nearest, farthest * farthest
 
 
-@kernel
+@piece
 def _sine(low, high, shift):
     """Bounds of sin(a + shift), where shift is 0 or pi/2 and the function sin or cos."""
     if not (high - low < 6.0) or _size(low, high) > 1e9:
@@ -105,7 +104,7 @@ def _sine(low, high, shift):
     return least, most
 
 
-@kernel
+@piece
 def _angle(yl, yh, xl, xh):
     """Bounds of atan2; all angles if the box meets the half-line y = 0, x < 0."""
     if (xl < 0.0 and yl <= 0.0 <= yh) or np.isnan(xl + xh + yl + yh):
@@ -115,7 +114,7 @@ def _angle(yl, yh, xl, xh):
     return min(first, second, third, fourth), max(first, second, third, fourth)
 
 
-@kernel
+@piece
 def _power(al, ah, bl, bh):
     """Bounds of power: at the corners, as it is monotone in each argument for a base > 0."""
     if ah <= 0.0:
@@ -128,7 +127,7 @@ def _power(al, ah, bl, bh):
     return least, max(first, second, top)
 
 
-@kernel
+@inlined
 def run_box(inputs, codes, arguments, constants, rounded, size, least, rounding, bounds, choices):
     """Bounds of every slot of a program on one box.
 
@@ -245,7 +244,7 @@ def run_box(inputs, codes, arguments, constants, rounded, size, least, rounding,
         choices[index] = choice
 
 
-@parallel_kernel
+@kernel
 def bounds_of(inputs, codes, arguments, constants, rounded, outputs, least, rounding, given, found):
     """Bounds of a program's outputs on n boxes.
 
@@ -255,15 +254,16 @@ def bounds_of(inputs, codes, arguments, constants, rounded, outputs, least, roun
         given: `(n, k, 3)`, low, high and error of its inputs on each box.
         found: `(n, m, 3)`, written: those of its outputs.
     """
-    count, size = given.shape[0], codes.size
-    chunk = 64
-    for part in prange((count + chunk - 1) // chunk):
-        bounds = np.zeros((inputs + size, 3))
-        choices = np.empty(size, np.int8)
-        for box in range(part * chunk, min(part * chunk + chunk, count)):
-            bounds[:inputs] = given[box]
-            run_box(
-                inputs, codes, arguments, constants, rounded, size, least, rounding, bounds, choices
-            )
-            for position in range(outputs.size):
-                found[box, position] = bounds[outputs[position]]
+    size = codes.size
+    bounds = np.zeros((inputs + size, 3))
+    choices = np.empty(size, np.int8)
+    for box in range(given.shape[0]):
+        for slot in range(inputs):
+            for position in range(3):
+                bounds[slot, position] = given[box, slot, position]
+        run_box(
+            inputs, codes, arguments, constants, rounded, size, least, rounding, bounds, choices
+        )
+        for position in range(outputs.size):
+            for number in range(3):
+                found[box, position, number] = bounds[outputs[position], number]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from fields.evaluators import opcodes as op
-from fields.jit import kernel
+from fields.jit import kernel, piece
 
 WIDTH = 6
 """Numbers in a row."""
@@ -90,7 +90,7 @@ def assign_registers(inputs, codes, arguments, constants, outputs, rows, numbers
     return count, used
 
 
-@kernel
+@piece
 def _take(register, slot, free, vacant, used):
     """Give a slot a register: a free one, or a new one."""
     if vacant > 0:
@@ -102,7 +102,7 @@ def _take(register, slot, free, vacant, used):
     return vacant, used
 
 
-@kernel
+@piece
 def _write(rows, count, code, form, result):
     rows[count, 0] = code
     rows[count, 1] = form

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
 from fields.evaluators import opcodes as op
 from fields.evaluators.elementary import (
@@ -28,112 +27,109 @@ from fields.evaluators.elementary import (
     sine,
 )
 from fields.evaluators.registers import FIRST_FIXED, SECOND_FIXED
-from fields.jit import inlined, kernel, parallel_kernel
+from fields.jit import inlined, kernel, piece
 
 BLOCK = 128
 """Points a block; a register is four rows."""
-
-CHUNK = 64
-"""Blocks that a thread takes at a time."""
 
 
 # --- values and slopes, for one point -------------------------------------------------
 
 
-@kernel
+@piece
 def _negative_slope(a):
     return -a, -1.0
 
 
-@kernel
+@piece
 def _absolute_slope(a):
     return abs(a), 1.0 if a > 0 else (-1.0 if a < 0 else 0.0)
 
 
-@kernel
+@piece
 def _square_slope(a):
     return a * a, a + a
 
 
-@kernel
+@piece
 def _root_slope(a):
     value = root(a)
     return value, 0.0 if a <= 0 else 0.5 / value
 
 
-@kernel
+@piece
 def _sine_slope(a):
     return sine(a), cosine(a)
 
 
-@kernel
+@piece
 def _cosine_slope(a):
     return cosine(a), -sine(a)
 
 
-@kernel
+@piece
 def _exact_sine_slope(a):
     return math.sin(a), math.cos(a)
 
 
-@kernel
+@piece
 def _exact_cosine_slope(a):
     return math.cos(a), -math.sin(a)
 
 
-@kernel
+@piece
 def _floor_slope(a):
     return np.floor(a), 0.0
 
 
-@kernel
+@piece
 def _exponential_slope(a):
     value = exponential(a)
     return value, value
 
 
-@kernel
+@piece
 def _logarithm_slope(a, least):
     return clamped_logarithm(a, least), 0.0 if a < least else 1.0 / a, 0.0
 
 
-@kernel
+@piece
 def _add_slope(a, b):
     return a + b, 1.0, 1.0
 
 
-@kernel
+@piece
 def _subtract_slope(a, b):
     return a - b, 1.0, -1.0
 
 
-@kernel
+@piece
 def _multiply_slope(a, b):
     return a * b, b, a
 
 
-@kernel
+@piece
 def _divide_slope(a, b):
     value = a / b
     return value, 1.0 / b, -value / b
 
 
-@kernel
+@piece
 def _share(is_taken, is_tie):
     return 1.0 if is_taken else (0.5 if is_tie else 0.0)
 
 
-@kernel
+@piece
 def _minimum_slope(a, b):
     return minimum(a, b), _share(a < b, a == b), _share(b < a, a == b)
 
 
-@kernel
+@piece
 def _maximum_slope(a, b):
     return maximum(a, b), _share(a > b, a == b), _share(b > a, a == b)
 
 
-@kernel
+@piece
 def _angle_slope(y, x):
     wide, high = np.float64(x), np.float64(y)
     squared = wide * wide + high * high
@@ -141,7 +137,7 @@ def _angle_slope(y, x):
     return angle(y, x), wide * inverse, -high * inverse
 
 
-@kernel
+@piece
 def _power_slope(value, base, exponent):
     is_flat = base <= 0
     safe = 1.0 if is_flat else np.float64(base)
@@ -149,12 +145,12 @@ def _power_slope(value, base, exponent):
     return value, along_base, 0.0 if is_flat else value * logarithm(safe)
 
 
-@kernel
+@piece
 def _power_single_slope(base, exponent):
     return _power_slope(power_single(base, exponent), base, exponent)
 
 
-@kernel
+@piece
 def _power_double_slope(base, exponent):
     return _power_slope(power_double(base, exponent), base, exponent)
 
@@ -162,7 +158,7 @@ def _power_double_slope(base, exponent):
 # --- loops over a block ---------------------------------------------------------------
 
 
-@kernel
+@piece
 def _fill(file, result, number):
     for i in range(BLOCK):
         file[result, 0, i] = number
@@ -172,41 +168,52 @@ def _fill(file, result, number):
 
 
 @inlined
-def _unary(piece, file, result, a):
+def _unary(piece, file, slopes, result, a):
     for i in range(BLOCK):
         value, slope = piece(file[a, 0, i])
-        slope = file.dtype.type(slope)
         file[result, 0, i] = value
-        for axis in range(1, 4):
-            file[result, axis, i] = slope * file[a, axis, i]
+        slopes[0, i] = slope
 
 
 @inlined
-def _binary(piece, form, file, result, a, b, number):
+def _binary(piece, form, file, slopes, result, a, b, number):
     if form == SECOND_FIXED:
         for i in range(BLOCK):
             value, slope, _ = piece(file[a, 0, i], number)
-            slope = file.dtype.type(slope)
             file[result, 0, i] = value
-            for axis in range(1, 4):
-                file[result, axis, i] = slope * file[a, axis, i]
+            slopes[0, i] = slope
     elif form == FIRST_FIXED:
         for i in range(BLOCK):
             value, _, slope = piece(number, file[b, 0, i])
-            slope = file.dtype.type(slope)
             file[result, 0, i] = value
-            for axis in range(1, 4):
-                file[result, axis, i] = slope * file[b, axis, i]
+            slopes[1, i] = slope
     else:
         for i in range(BLOCK):
             value, first, second = piece(file[a, 0, i], file[b, 0, i])
-            first, second = file.dtype.type(first), file.dtype.type(second)
             file[result, 0, i] = value
-            for axis in range(1, 4):
-                file[result, axis, i] = first * file[a, axis, i] + second * file[b, axis, i]
+            slopes[0, i] = first
+            slopes[1, i] = second
 
 
-@kernel
+@piece
+def _chain_rule(code, form, file, slopes, result, a, b):
+    """The derivatives of a result whose slopes are known."""
+    if code < op.ADD or form == SECOND_FIXED:
+        for axis in range(1, 4):
+            for i in range(BLOCK):
+                file[result, axis, i] = slopes[0, i] * file[a, axis, i]
+    elif form == FIRST_FIXED:
+        for axis in range(1, 4):
+            for i in range(BLOCK):
+                file[result, axis, i] = slopes[1, i] * file[b, axis, i]
+    else:
+        for axis in range(1, 4):
+            for i in range(BLOCK):
+                along = slopes[0, i] * file[a, axis, i]
+                file[result, axis, i] = along + slopes[1, i] * file[b, axis, i]
+
+
+@piece
 def _where_negative(file, result, a, b, c):
     for axis in range(4):
         for i in range(BLOCK):
@@ -215,67 +222,73 @@ def _where_negative(file, result, a, b, c):
 
 
 @inlined
-def _periodic(piece, exact, file, result, a):
-    _unary(piece, file, result, a)
+def _periodic(piece, exact, file, slopes, result, a):
+    _unary(piece, file, slopes, result, a)
     for i in range(BLOCK):
         if abs(file[a, 0, i]) > HUGE:
-            value, slope = exact(np.float64(file[a, 0, i]))
-            file[result, 0, i] = value
-            for axis in range(1, 4):
-                file[result, axis, i] = file.dtype.type(slope) * file[a, axis, i]
+            file[result, 0, i], slopes[0, i] = exact(np.float64(file[a, 0, i]))
 
 
-@kernel
-def run_block(rows, numbers, file):
-    """Run all rows on one block; `file` is `(registers, 4, BLOCK)`, the inputs in their places."""
+@inlined
+def _run_block(rows, numbers, file, slopes):
+    """Run all rows on one block.
+
+    Args:
+        rows, numbers: the program.
+        file: `(registers, 4, BLOCK)`, the inputs in their places.
+        slopes: `(2, BLOCK)`, for the derivatives of a result after its arguments.
+    """
     least = np.finfo(file.dtype).tiny
     for row in range(rows.shape[0]):
         code, form, result = rows[row, 0], rows[row, 1], rows[row, 2]
         a, b, number = rows[row, 3], rows[row, 4], numbers[row]
-        if code == op.ADD:
-            _binary(_add_slope, form, file, result, a, b, number)
-        elif code == op.SUBTRACT:
-            _binary(_subtract_slope, form, file, result, a, b, number)
-        elif code == op.MULTIPLY:
-            _binary(_multiply_slope, form, file, result, a, b, number)
-        elif code == op.DIVIDE:
-            _binary(_divide_slope, form, file, result, a, b, number)
-        elif code == op.MINIMUM:
-            _binary(_minimum_slope, form, file, result, a, b, number)
-        elif code == op.MAXIMUM:
-            _binary(_maximum_slope, form, file, result, a, b, number)
-        elif code == op.SQUARE:
-            _unary(_square_slope, file, result, a)
-        elif code == op.SQRT:
-            _unary(_root_slope, file, result, a)
-        elif code == op.ABSOLUTE:
-            _unary(_absolute_slope, file, result, a)
-        elif code == op.NEGATIVE:
-            _unary(_negative_slope, file, result, a)
-        elif code == op.WHERE_NEGATIVE:
+        if code == op.WHERE_NEGATIVE:
             _where_negative(file, result, a, b, rows[row, 5])
-        elif code == op.CONSTANT:
+            continue
+        if code == op.CONSTANT:
             _fill(file, result, number)
+            continue
+        if code == op.ADD:
+            _binary(_add_slope, form, file, slopes, result, a, b, number)
+        elif code == op.SUBTRACT:
+            _binary(_subtract_slope, form, file, slopes, result, a, b, number)
+        elif code == op.MULTIPLY:
+            _binary(_multiply_slope, form, file, slopes, result, a, b, number)
+        elif code == op.DIVIDE:
+            _binary(_divide_slope, form, file, slopes, result, a, b, number)
+        elif code == op.MINIMUM:
+            _binary(_minimum_slope, form, file, slopes, result, a, b, number)
+        elif code == op.MAXIMUM:
+            _binary(_maximum_slope, form, file, slopes, result, a, b, number)
+        elif code == op.SQUARE:
+            _unary(_square_slope, file, slopes, result, a)
+        elif code == op.SQRT:
+            _unary(_root_slope, file, slopes, result, a)
+        elif code == op.ABSOLUTE:
+            _unary(_absolute_slope, file, slopes, result, a)
+        elif code == op.NEGATIVE:
+            _unary(_negative_slope, file, slopes, result, a)
         elif code == op.FLOOR:
-            _unary(_floor_slope, file, result, a)
+            _unary(_floor_slope, file, slopes, result, a)
         elif code == op.SIN:
-            _periodic(_sine_slope, _exact_sine_slope, file, result, a)
+            _periodic(_sine_slope, _exact_sine_slope, file, slopes, result, a)
         elif code == op.COS:
-            _periodic(_cosine_slope, _exact_cosine_slope, file, result, a)
+            _periodic(_cosine_slope, _exact_cosine_slope, file, slopes, result, a)
         elif code == op.EXP:
-            _unary(_exponential_slope, file, result, a)
+            _unary(_exponential_slope, file, slopes, result, a)
         elif code == op.LOG:
-            _binary(_logarithm_slope, SECOND_FIXED, file, result, a, b, least)
+            _binary(_logarithm_slope, SECOND_FIXED, file, slopes, result, a, b, least)
         elif code == op.ATAN2:
-            _binary(_angle_slope, form, file, result, a, b, number)
+            _binary(_angle_slope, form, file, slopes, result, a, b, number)
         elif code == op.POWER:
             if file.itemsize == 4:
-                _binary(_power_single_slope, form, file, result, a, b, number)
+                _binary(_power_single_slope, form, file, slopes, result, a, b, number)
             else:
-                _binary(_power_double_slope, form, file, result, a, b, number)
+                _binary(_power_double_slope, form, file, slopes, result, a, b, number)
+        _chain_rule(code, form, file, slopes, result, a, b)
 
 
-@parallel_kernel
+@kernel
 def slopes_at(rows, numbers, registers, places, points, inputs, outputs):
     """Run a program at n points.
 
@@ -286,23 +299,22 @@ def slopes_at(rows, numbers, registers, places, points, inputs, outputs):
         outputs: `(n, 4, m)`, written: those of its outputs.
     """
     count = points.shape[0]
-    chunk = BLOCK * CHUNK
-    for part in prange((count + chunk - 1) // chunk):
-        file = np.zeros((registers, 4, BLOCK), points.dtype)
-        for start in range(part * chunk, min(part * chunk + chunk, count), BLOCK):
-            size = min(BLOCK, count - start)
-            for column in range(3):
-                for axis in range(1, 4):
-                    file[column, axis, :] = axis == column + 1
+    file = np.zeros((registers, 4, BLOCK), points.dtype)
+    slopes = np.zeros((2, BLOCK), points.dtype)
+    for start in range(0, count, BLOCK):
+        size = min(BLOCK, count - start)
+        for column in range(3):
+            for i in range(size):
+                file[column, 0, i] = points[start + i, column]
+            for axis in range(3):
+                file[column, 1 + axis, :] = axis == column
+        for column in range(inputs.shape[2]):
+            for axis in range(4):
                 for i in range(size):
-                    file[column, 0, i] = points[start + i, column]
-            for column in range(inputs.shape[2]):
+                    file[3 + column, axis, i] = inputs[start + i, axis, column]
+        _run_block(rows, numbers, file, slopes)
+        for column in range(places.size):
+            place = places[column]
+            for i in range(size):
                 for axis in range(4):
-                    for i in range(size):
-                        file[3 + column, axis, i] = inputs[start + i, axis, column]
-            run_block(rows, numbers, file)
-            for column in range(places.size):
-                place = places[column]
-                for i in range(size):
-                    for axis in range(4):
-                        outputs[start + i, axis, column] = file[place, axis, i]
+                    outputs[start + i, axis, column] = file[place, axis, i]

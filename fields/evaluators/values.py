@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
 from fields.evaluators import opcodes as op
 from fields.evaluators.elementary import (
@@ -32,54 +31,51 @@ from fields.evaluators.elementary import (
     sine,
 )
 from fields.evaluators.registers import FIRST_FIXED, SECOND_FIXED
-from fields.jit import inlined, kernel, parallel_kernel
+from fields.jit import inlined, kernel, piece
 
 BLOCK = 512
 """Points a block: eight registers of float32 are 16 KiB, half of a usual first-level cache."""
-
-CHUNK = 32
-"""Blocks that a thread takes at a time."""
 
 
 # --- what the operations mean, for one point ------------------------------------------
 
 
-@kernel
+@piece
 def _negative(a):
     return -a
 
 
-@kernel
+@piece
 def _absolute(a):
     return abs(a)
 
 
-@kernel
+@piece
 def _square(a):
     return a * a
 
 
-@kernel
+@piece
 def _floor(a):
     return np.floor(a)
 
 
-@kernel
+@piece
 def _add(a, b):
     return a + b
 
 
-@kernel
+@piece
 def _subtract(a, b):
     return a - b
 
 
-@kernel
+@piece
 def _multiply(a, b):
     return a * b
 
 
-@kernel
+@piece
 def _divide(a, b):
     return a / b
 
@@ -87,7 +83,7 @@ def _divide(a, b):
 # --- loops over a block ---------------------------------------------------------------
 
 
-@kernel
+@piece
 def _fill(file, result, number):
     for i in range(BLOCK):
         file[result, i] = number
@@ -112,7 +108,7 @@ def _binary(piece, form, file, result, a, b, number):
             file[result, i] = piece(file[a, i], file[b, i])
 
 
-@kernel
+@piece
 def _where_negative(file, result, a, b, c):
     for i in range(BLOCK):
         negative_value, otherwise = file[b, i], file[c, i]
@@ -127,17 +123,17 @@ def _periodic(piece, exact, file, result, a):
             file[result, i] = exact(np.float64(file[a, i]))
 
 
-@kernel
+@piece
 def _exact_sine(a):
     return math.sin(a)
 
 
-@kernel
+@piece
 def _exact_cosine(a):
     return math.cos(a)
 
 
-@kernel
+@inlined
 def run_block(rows, numbers, file):
     """Run all rows on one block; `file` is `(registers, BLOCK)`, the inputs in their places."""
     least = np.finfo(file.dtype).tiny
@@ -187,7 +183,7 @@ def run_block(rows, numbers, file):
                 _binary(power_double, form, file, result, a, b, number)
 
 
-@parallel_kernel
+@kernel
 def values_at(rows, numbers, registers, places, inputs, outputs):
     """Run a program at n points.
 
@@ -197,20 +193,18 @@ def values_at(rows, numbers, registers, places, inputs, outputs):
         outputs: `(n, m)`, written: its outputs.
     """
     count = inputs.shape[0]
-    chunk = BLOCK * CHUNK
-    for part in prange((count + chunk - 1) // chunk):
-        file = np.zeros((registers, BLOCK), inputs.dtype)
-        for start in range(part * chunk, min(part * chunk + chunk, count), BLOCK):
-            size = min(BLOCK, count - start)
+    file = np.zeros((registers, BLOCK), inputs.dtype)
+    for start in range(0, count, BLOCK):
+        size = min(BLOCK, count - start)
+        for i in range(size):
+            file[0, i] = inputs[start + i, 0]
+            file[1, i] = inputs[start + i, 1]
+            file[2, i] = inputs[start + i, 2]
+        for column in range(3, inputs.shape[1]):
             for i in range(size):
-                file[0, i] = inputs[start + i, 0]
-                file[1, i] = inputs[start + i, 1]
-                file[2, i] = inputs[start + i, 2]
-            for column in range(3, inputs.shape[1]):
-                for i in range(size):
-                    file[column, i] = inputs[start + i, column]
-            run_block(rows, numbers, file)
-            for column in range(places.size):
-                place = places[column]
-                for i in range(size):
-                    outputs[start + i, column] = file[place, i]
+                file[column, i] = inputs[start + i, column]
+        run_block(rows, numbers, file)
+        for column in range(places.size):
+            place = places[column]
+            for i in range(size):
+                outputs[start + i, column] = file[place, i]
