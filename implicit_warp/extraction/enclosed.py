@@ -10,9 +10,12 @@ would leave holes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
+from fields.lattice import sample_blocks
 from implicit_warp.extraction.cells import Cells, crossed_cells_of_blocks
 from implicit_warp.extraction.cube import CORNERS
 from implicit_warp.extraction.samples import NUMPY, CornerSamples, Sampler
@@ -22,7 +25,14 @@ BLOCK = 8
 
 _COARSEST = 8 * BLOCK
 
+_SIDE = 4 * BLOCK
+"""Blocks of this size are left to the compiled sampling, which looks at their parts itself."""
+
+_AT_ONCE = 4096
+"""Blocks that are sampled at a time: 3 million samples."""
+
 _OFFSETS = np.stack(np.meshgrid(*[np.arange(BLOCK + 1)] * 3, indexing="ij"), axis=-1)
+_PLACES = _OFFSETS.reshape(-1, 3)
 
 
 def crossed_cells(sampler: Sampler) -> Cells:
@@ -30,16 +40,58 @@ def crossed_cells(sampler: Sampler) -> Cells:
     first, last = sampler.first_cell, sampler.last_cell
     axes = [np.arange(a, b + 1, _COARSEST) for a, b in zip(first, last, strict=True)]
     blocks = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    blocks = undecided_blocks(sampler, blocks, _COARSEST, BLOCK)
-    known = len(blocks) * BLOCK**3 < 0.5 * np.prod(last - first + 1.0)
-    if known and sampler.field.tape.calls_oracles:
-        return _without_repetition(sampler, blocks)
+    if sampler.field.tape.calls_oracles:
+        blocks = undecided_blocks(sampler, blocks, _COARSEST, BLOCK)
+        if len(blocks) * BLOCK**3 < 0.5 * np.prod(last - first + 1.0):
+            return _without_repetition(sampler, blocks)
+        return _by_sampler(sampler, blocks)
+    blocks = undecided_blocks(sampler, blocks, _COARSEST, _SIDE)
+    side = _SIDE
+    while side > BLOCK:
+        side //= 2
+        blocks = split(blocks, side, last)
+    if not sampler.walled:
+        return _by_kernel(sampler, blocks)
+    beyond = (blocks < 0).any(axis=1) | (blocks + BLOCK > last).any(axis=1)
+    parts = [_by_kernel(sampler, blocks[~beyond]), _by_sampler(sampler, blocks[beyond])]
+    return Cells.joined(parts, NUMPY[sampler.dtype])
+
+
+def _by_kernel(sampler: Sampler, blocks: NDArray[np.int64]) -> Cells:
+    """The crossed cells of blocks within the lattice, all by compiled code."""
+    found, lattice = [], sampler.lattice
+    limits = np.stack([sampler.first_cell, sampler.last_cell])
+    for block in np.array_split(blocks, max(1, -(-len(blocks) // _AT_ONCE))):
+        sampled = sample_blocks(
+            sampler.field,
+            lattice.origin,
+            lattice.voxel,
+            block,
+            BLOCK,
+            level=sampler.level,
+            dtype=NUMPY[sampler.dtype],
+        )
+        block, values = block[sampled.crossed], sampled.values[sampled.crossed]
+        sampler.took(values, _place_in(block))
+        values = (values - NUMPY[sampler.dtype](sampler.level)).reshape(-1, *_OFFSETS.shape[:3])
+        found.append(crossed_cells_of_blocks(block, values, limits))
+    return Cells.joined(found, NUMPY[sampler.dtype])
+
+
+def _place_in(blocks: NDArray[np.int64]) -> Callable[[int], NDArray[np.int64]]:
+    """From the place of a sample in an array of blocks to its lattice point."""
+    return lambda i: blocks[i // len(_PLACES)] + _PLACES[i % len(_PLACES)]
+
+
+def _by_sampler(sampler: Sampler, blocks: NDArray[np.int64]) -> Cells:
+    """The same point by point, for fields of any kind, and beyond the walls."""
     found = []
+    limits = np.stack([sampler.first_cell, sampler.last_cell])
     at_once = max(1, sampler.batch // (BLOCK + 1) ** 3)
     for block in np.array_split(blocks, max(1, -(-len(blocks) // at_once))):
-        points = np.minimum(block[:, None, None, None] + _OFFSETS, last + 1)
+        points = np.minimum(block[:, None, None, None] + _OFFSETS, sampler.last_cell + 1)
         values = sampler.at(points.reshape(-1, 3)).reshape(points.shape[:-1])
-        found.append(crossed_cells_of_blocks(block, values, np.stack([first, last])))
+        found.append(crossed_cells_of_blocks(block, values, limits))
     return Cells.joined(found, NUMPY[sampler.dtype])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,21 +91,39 @@ class Sampler:
                 f"it gave values of shape {result.shape} for points of shape {points.shape}",
                 "Return one value a point",
             )
-        finite = np.isfinite(result)
+        self._note(result, lambda i: points[i])
+        return result - NUMPY[self.dtype](self.level)
+
+    def took(self, values: NDArray[np.floating], index: Callable[[int], NDArray[np.int64]]) -> None:
+        """Take note of values of the field that were computed elsewhere.
+
+        Args:
+            values: of the field itself, of any shape.
+            index: the lattice point of a value, by its place in the flattened array.
+
+        Raises:
+            InputError: a value is NaN or infinite.
+        """
+        lattice = self.lattice
+        self._note(values.reshape(-1), lambda i: lattice.origin + lattice.voxel * index(i))
+
+    def _note(
+        self, values: NDArray[np.floating], place: Callable[[int], NDArray[np.float64]]
+    ) -> None:
+        finite = np.isfinite(values)
         if not finite.all():
-            where = points[np.flatnonzero(~finite)[0]]
+            first = int(np.flatnonzero(~finite)[0])
             raise InputError(
                 "field",
                 self.field,
-                f"{int((~finite).sum())} of {len(points)} values in one batch are NaN or infinite, "
-                f"the first at {where.tolist()}",
+                f"{int((~finite).sum())} of {len(values)} values in one batch are NaN or infinite, "
+                f"the first at {place(first).tolist()}",
                 "Mend the field there, or choose bounds that leave the place out",
             )
-        self.count += len(result)
-        if len(result):
-            self.lowest = min(self.lowest, float(result.min()))
-            self.highest = max(self.highest, float(result.max()))
-        return result - NUMPY[self.dtype](self.level)
+        self.count += len(values)
+        if len(values):
+            self.lowest = min(self.lowest, float(values.min()))
+            self.highest = max(self.highest, float(values.max()))
 
     def value_at(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) values minus level at points (n, 3) in index coordinates of the lattice."""

@@ -140,7 +140,8 @@ def untagged(field: sdf.Field, factor: float = 1.0) -> sdf.Field:
 def test_skipping_blocks_changes_nothing(resolution: int) -> None:
     pruned, dense = extract(part(), resolution), extract(untagged(part()), resolution)
     assert np.array_equal(pruned.faces, dense.faces)
-    assert np.array_equal(pruned.vertices, dense.vertices)
+    # A function is evaluated by torch, whose norms round otherwise than the compiled ones.
+    assert np.allclose(pruned.vertices, dense.vertices, rtol=0, atol=1e-6)
 
 
 def test_skipping_blocks_spares_most_samples() -> None:
