@@ -1,4 +1,4 @@
-"""Rigid motions and scalings of fields, and changes of their thickness."""
+"""Rigid motions and scalings of fields."""
 
 from __future__ import annotations
 
@@ -50,19 +50,3 @@ class Motions(FieldBase):
                 one an axis, which keeps the Lipschitz bound but not exactness.
         """
         return derived(operations.scale, (self,), factor=factor)
-
-    def offset(self, distance: float) -> Self:
-        """Grown by a distance, or shrunk by a negative one: a - distance.
-
-        Of a distance it is the true offset surface; the field remains a distance only
-        outside it (grown) or inside (shrunk), so it is not tagged exact.
-        """
-        return derived(operations.offset, (self,), distance=distance)
-
-    def shell(self, thickness: float) -> Self:
-        """The surface made solid, half of the thickness on each side: |a| - thickness/2.
-
-        The surface itself vanishes. Not exact. Of a field that is not a distance the
-        thickness varies.
-        """
-        return derived(operations.shell, (self,), thickness=thickness)
