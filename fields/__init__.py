@@ -57,6 +57,7 @@ hollow = Field.hollow
 onion = Field.onion
 elongate = Field.elongate
 displace = Field.displace
+affine = Field.affine
 mirror = Field.mirror
 symmetry = Field.symmetry
 repeat = Field.repeat
@@ -72,6 +73,7 @@ __all__ = [
     "InputError",
     "MissingDependency",
     "above",
+    "affine",
     "behind",
     "below",
     "bend",

@@ -58,6 +58,9 @@ class Body(NamedTuple):
 
 Rule = Callable[..., Body]
 
+_ROUNDED_UP = 1 + 1e-14
+"""For norms that a decomposition computes, to some units in the last place."""
+
 RULES: dict[str, Rule] = {}
 """Every operation on fields by name: the methods that `fields.parse` accepts, and the
 list from which the tests draw."""
@@ -282,6 +285,29 @@ def scale(body: Body, factor: float | ArrayLike) -> Body:
     return Body(remap(body.expression, (X / x, Y / y, Z / z)) * least, tags)
 
 
+@rule
+def affine(body: Body, linear: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
+    """a(M^-1 (p - translation)).
+
+    Lipschitz: times the norm of M^-1. Exact: not claimed. Extent: a point of the box grown by d
+    is moved at most d times the largest row sum of |M| farther along an axis than one of the box.
+    """
+    matrix = _invertible(linear)
+    shift = np.array(arguments.vector("translation", translation))
+    inverse, tags = np.linalg.inv(matrix), body.tags
+    stretch = float(np.linalg.norm(inverse, 2)) * _ROUNDED_UP
+    spread = float(np.abs(matrix).sum(axis=1).max())
+    expression = remap(body.expression, _linear_coordinates(inverse))
+    x, y, z = shift.tolist()
+    moved = Tags(
+        exact=False,
+        lipschitz=None if tags.lipschitz is None else tags.lipschitz * stretch,
+        extent=linear_image(tags.extent, matrix) + shift,
+        growth=None if tags.growth is None else tags.growth * spread,
+    )
+    return Body(remap(expression, (X - x, Y - y, Z - z)), moved)
+
+
 # --- rotation matrices ----------------------------------------------------------------
 
 
@@ -338,15 +364,30 @@ def _shortest_turn(target: Vector) -> Matrix:
     return np.eye(3) + cross + cross @ cross / divisor
 
 
-def _rotation_matrix(value: ArrayLike) -> Matrix:
-    """A given matrix, checked to 1e-6 (what float32 rounding leaves) and made orthogonal."""
+def _invertible(value: ArrayLike) -> Matrix:
+    remedy = "pass a 3x3 matrix, which may shear, stretch, turn and reflect, but not flatten"
+    matrix = _matrix("linear", value, remedy)
+    with np.errstate(divide="ignore"):
+        condition = np.linalg.cond(matrix)
+    if not condition < 1 / np.finfo(np.float64).eps:
+        raise InputError("linear", value, "it is singular: it flattens space", remedy)
+    return matrix
+
+
+def _matrix(argument: str, value: ArrayLike, remedy: str) -> Matrix:
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         matrix = np.empty(0)
-    remedy = "pass a 3x3 rotation matrix, or an angle in degrees and an axis"
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise InputError("rotation", value, "it is not a 3x3 matrix of finite numbers", remedy)
+        raise InputError(argument, value, "it is not a 3x3 matrix of finite numbers", remedy)
+    return matrix
+
+
+def _rotation_matrix(value: ArrayLike) -> Matrix:
+    """A given matrix, checked to 1e-6 (what float32 rounding leaves) and made orthogonal."""
+    remedy = "pass a 3x3 rotation matrix, or an angle in degrees and an axis"
+    matrix = _matrix("rotation", value, remedy)
     error = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if error > 1e-6 or np.linalg.det(matrix) < 0:
         cause = (

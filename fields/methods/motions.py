@@ -1,4 +1,4 @@
-"""Rigid motions and scalings of fields."""
+"""Rigid motions, scalings and other affine maps of fields."""
 
 from __future__ import annotations
 
@@ -50,3 +50,17 @@ class Motions(FieldBase):
                 one an axis, which keeps the Lipschitz bound but not exactness.
         """
         return derived(operations.scale, (self,), factor=factor)
+
+    def affine(self, linear: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
+        """Carried along by the map p -> M p + translation; values stay, distances do not.
+
+        Use `rotate`, `scale` and `translate` where they say the same: they keep what is exact.
+
+        Args:
+            linear: M, a 3x3 matrix that may shear, stretch, turn and reflect.
+            translation: `(3,)`.
+
+        Raises:
+            InputError: the matrix is singular.
+        """
+        return derived(operations.affine, (self,), linear=linear, translation=translation)

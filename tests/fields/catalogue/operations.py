@@ -69,6 +69,8 @@ EXAMPLES: dict[str, Field] = {
         sdf.Field(0.1 * sin(5 * X) * sin(5 * Y) * sin(5 * Z), lipschitz=0.5), limit=0.1
     ),
     "displace by a clamped field": BLOCK.displace(sdf.plane("x"), limit=0.2),
+    "affine": BLOCK.affine([[1.2, 0.3, 0], [0, 0.8, -0.4], [0.1, 0, 1]], (0.1, 0.2, -0.3)),
+    "affine, reflected and grown": PILL.affine([[0, 1, 0.5], [1, 0, 0], [0, 0, 1.3]]).offset(0.1),
     "mirror": sdf.cone(0.6, 1.2).mirror((1, 0.2, 1), (0.2, 0, 0)),
     "mirror, beside": PILL | PILL.mirror("z", (0, 0, -0.8)),
     "symmetry": PILL.symmetry("x"),
