@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fields import arguments
-from fields.enclosure import floored, outside
+from fields.enclosure import floored, raised
 from fields.errors import InputError
 from fields.expression import (
     Coordinates,
@@ -40,7 +40,6 @@ from fields.expression import (
     clamp,
     cos,
     floor,
-    maximum,
     minimum,
     modulo,
     remap,
@@ -105,7 +104,7 @@ def _united(
         )
     expression = minimum(*(remap(body.expression, place) for place in places))
     if math.isfinite(reach):
-        expression = maximum(minimum(expression, reach), outside(extent))
+        expression = raised(minimum(expression, reach), extent)
     return Body(expression, Tags(False, body.tags.lipschitz, extent, 1.0))
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fields import arguments
-from fields.enclosure import MARGIN, confined, floored, outside
+from fields.enclosure import MARGIN, confined, floored, raised
 from fields.errors import InputError
 from fields.expression import (
     Coordinates,
@@ -224,7 +224,7 @@ def _bent(body: Body, arc: _Arc, degrees: object) -> Body:
     nearest = arc.radius - float(extent[1, 0])
     pulled = remap(floored(body).expression, _unbent(arc))
     image = _bent_box(extent, arc)
-    expression = maximum(minimum(pulled, clearance / 2), outside(image))
+    expression = raised(minimum(pulled, clearance / 2), image)
     steepest = floored(body).tags.lipschitz
     stretch = max(1.0, arc.radius / (nearest - clearance / 2))
     lipschitz = None if steepest is None else max(steepest * stretch, 1.0)

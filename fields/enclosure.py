@@ -17,11 +17,11 @@ from fields.expression import (
     X,
     Y,
     Z,
-    constant,
     length,
     maximum,
     minimum,
     remap,
+    where_negative,
 )
 from fields.operations import Body
 from fields.tags import Box, largest
@@ -31,15 +31,22 @@ MARGIN = 1 / 64
 of a lattice of 128 along it, so that values are interpolated across the surface by one formula."""
 
 
-def outside(extent: Box) -> Expression:
-    """The distance to a box, 0 in it. Sides at infinity play no part."""
+def raised(expression: Expression, extent: Box) -> Expression:
+    """f in a box, and max(f, d) outside of it, with d the distance to the box.
+
+    For a field whose zero set and inside are in the box: then f is not negative on its sides, so
+    the two parts meet without a jump. Sides at infinity play no part.
+    """
     beyond = []
     for axis, low, high in zip((X, Y, Z), *extent, strict=True):
-        sides = [low - axis] if np.isfinite(low) else []
-        sides += [axis - high] if np.isfinite(high) else []
+        sides = [float(low) - axis] if np.isfinite(low) else []
+        sides += [axis - float(high)] if np.isfinite(high) else []
         if sides:
             beyond.append(maximum(0.0, *sides))
-    return length(*beyond) if beyond else constant(0.0)
+    if not beyond:
+        return expression
+    distance = length(*beyond)
+    return where_negative(-distance, maximum(expression, distance), expression)
 
 
 def widened(extent: Box) -> Box:
@@ -62,26 +69,26 @@ def _held(axis: Expression, low: float, high: float) -> Expression:
 
 
 def confined(expression: Expression, within: Coordinates, extent: Box) -> Expression:
-    """max(f(q), d): a field whose points are replaced by points of a region around its extent.
+    """f(q), raised to d outside of the extent: points are replaced by points of a region around it.
 
     Args:
         expression: f; its zero set and inside are in the extent.
         within: q, the nearest point of a convex region that contains the extent.
         extent: d is the distance to this box.
 
-    The zero set and the inside stay: in the extent q is p and d is 0, and outside d > 0.
+    The zero set and the inside stay: in the extent q is p, and outside of it d > 0.
     Lipschitz: the larger of 1 and the bound of f in the region alone, as q is the projection to a
     convex set, whose constant is 1, and d has constant 1. Growth: 1, as it is at least d.
     """
-    return maximum(remap(expression, within), outside(extent))
+    return raised(remap(expression, within), extent)
 
 
 def floored(body: Body) -> Body:
     """The same shape by a field that is nowhere less than the distance to its box.
 
-    A distance is so already. Others become max(a, d), and have growth 1 thereby.
+    A distance is so already. Others are raised to it, and have growth 1 thereby.
     """
     if body.tags.exact:
         return body
     tags = replace(body.tags, lipschitz=largest([1.0, body.tags.lipschitz]), growth=1.0)
-    return Body(maximum(body.expression, outside(body.tags.extent)), tags)
+    return Body(raised(body.expression, body.tags.extent), tags)

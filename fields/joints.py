@@ -54,7 +54,7 @@ class Joint(TypedDict, total=False):
     chamfer: float
     """r: a flat bevel, from r to r along both surfaces."""
     stairs: tuple[float, int]
-    """(r, n): n equal steps, from r to r along both surfaces."""
+    """(r, n): n rises of r / n, so n - 1 treads, from r to r along both surfaces."""
 
 
 class Profile(NamedTuple):

@@ -15,11 +15,9 @@ from typing import NoReturn
 from fields.errors import InputError
 from fields.field import Field
 from fields.mesh import mesh
+from fields.notation import LIMIT
 from fields.operations import RULES
 from fields.primitives import PRIMITIVES
-
-LIMIT = 100_000
-"""The longest text, in characters, that is read."""
 
 _OPERATORS: dict[type[ast.operator], Callable[[Field, Field], Field]] = {
     ast.BitOr: Field.__or__,
@@ -44,9 +42,10 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
     and keyword arguments.
 
     Args:
-        text: one expression of at most 100,000 characters, with at most 200 parentheses
-            open at once (a limit of Python's own parser) and chains of at most some
-            hundreds of steps.
+        text: one expression of at most 1,000,000 characters (as many as `repr` writes),
+            with at most 200 parentheses open at once (a limit of Python's own parser) and
+            chains of at most some hundreds of steps. Lists may be long: of the arguments
+            of a union, say.
         allow_files: also allow `mesh("path")`, which reads a file.
 
     Raises:
