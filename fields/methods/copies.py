@@ -84,7 +84,9 @@ class Copies(FieldBase):
         """Copies turned by equal angles about an axis through the origin, the first in place.
 
         Not injective. Copies may overlap and the shape may meet the axis; all copies are computed
-        then, while for a shape away from it two or three are.
+        then, while for a shape away from it two or three are. Values up to r sin(180 degrees /
+        count), r the distance of the bounds from the axis, are those of the union of all copies;
+        larger ones are lower bounds of it.
 
         Args:
             count: how many.
