@@ -46,37 +46,81 @@ orient = Field.orient
 scale = Field.scale
 offset = Field.offset
 shell = Field.shell
+symmetric_difference = Field.symmetric_difference
+pipe = Field.pipe
+engrave = Field.engrave
+groove = Field.groove
+tongue = Field.tongue
+morph = Field.morph
+transition_linear = Field.transition_linear
+transition_radial = Field.transition_radial
+hollow = Field.hollow
+onion = Field.onion
+elongate = Field.elongate
+displace = Field.displace
+affine = Field.affine
+mirror = Field.mirror
+symmetry = Field.symmetry
+repeat = Field.repeat
+linear_array = Field.linear_array
+circular_array = Field.circular_array
+twist = Field.twist
+taper = Field.taper
+shear = Field.shear
+bend = Field.bend
 
 __all__ = [
     "Field",
     "InputError",
     "MissingDependency",
     "above",
+    "affine",
     "back_end",
     "behind",
     "below",
+    "bend",
     "box",
     "capsule",
+    "circular_array",
     "cone",
     "cylinder",
     "difference",
+    "displace",
+    "elongate",
+    "engrave",
     "from_function",
     "front",
+    "groove",
+    "hollow",
     "intersection",
     "left",
+    "linear_array",
     "mesh",
+    "mirror",
+    "morph",
     "negate",
     "offset",
+    "onion",
     "orient",
     "parse",
+    "pipe",
     "plane",
+    "repeat",
     "right",
     "rotate",
     "rounded_box",
     "scale",
+    "shear",
     "shell",
     "sphere",
+    "symmetric_difference",
+    "symmetry",
+    "taper",
+    "tongue",
     "torus",
+    "transition_linear",
+    "transition_radial",
     "translate",
+    "twist",
     "union",
 ]

@@ -52,6 +52,16 @@ def not_negative(argument: str, value: object) -> float:
     return result
 
 
+def whole(argument: str, value: object, least: int = 1) -> int:
+    """A whole number that is not too small; a float with such a value will do."""
+    result = number(argument, value)
+    if result != int(result) or result < least:
+        raise InputError(
+            argument, value, f"it must be a whole number of at least {least}", "pass an integer"
+        )
+    return int(result)
+
+
 def vector(argument: str, value: object) -> Vector:
     """Three finite numbers."""
     items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
@@ -59,6 +69,27 @@ def vector(argument: str, value: object) -> Vector:
         raise InputError(argument, value, "three numbers are needed", "pass (x, y, z)")
     x, y, z = (number(f"{argument}[{index}]", item) for index, item in enumerate(items))
     return (x, y, z)
+
+
+def pair(
+    argument: str, value: object, check: Callable[[str, object], float] = number
+) -> tuple[float, float]:
+    """Two checked numbers."""
+    try:
+        first, second = value  # type: ignore[misc]
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            argument, value, "not a pair of numbers", "pass two, such as (0, 1)"
+        ) from error
+    return (check(f"{argument}[0]", first), check(f"{argument}[1]", second))
+
+
+def interval(argument: str, value: object) -> tuple[float, float]:
+    """Two numbers, the second above the first, and not so near that dividing by it overflows."""
+    low, high = pair(argument, value)
+    if not low < high or not math.isfinite(1.0 / (high - low)):
+        raise InputError(argument, value, "an empty range", "pass (low, high) with low below high")
+    return (low, high)
 
 
 def numbers_or_one(

@@ -22,10 +22,19 @@ LIMIT = 1_000_000
 """The longest text, in characters, that is written out. A graph that shares its parts
 can stand for a text that is exponentially larger than itself."""
 
-_OPERATORS = {"union": ("|", 1), "intersection": ("&", 2), "difference": ("-", 3)}
-_ATOM = 4
+_OPERATORS = {
+    "union": ("|", 1),
+    "symmetric_difference": ("^", 2),
+    "intersection": ("&", 3),
+    "difference": ("-", 4),
+}
+_ATOM = 5
 
-Literal: TypeAlias = "float | str | Opaque | tuple[Literal, ...]"
+_LONGEST_CHAIN = 100
+"""The most operands that are written with operators between them. Python's parser nests such a
+chain, and gives up at a few thousand; the arguments of a call it only lists."""
+
+Literal: TypeAlias = "float | bool | str | Opaque | tuple[Literal, ...]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +73,7 @@ def literal(value: object) -> Literal:
         value = value.tolist()
     if isinstance(value, list | tuple):
         return tuple(literal(item) for item in value)
-    if isinstance(value, str | Opaque):
+    if isinstance(value, str | bool | Opaque):
         return value
     if isinstance(value, PathLike):
         return str(fspath(value))
@@ -142,7 +151,8 @@ def _spelled(field: Field, precedence: int) -> list[str | tuple[Field, int]]:
     history = field.history
     if isinstance(history, Opaque):
         return [_literal_text(history)]
-    if history.name in _OPERATORS and not history.arguments and not history.keywords:
+    plain = not history.arguments and not history.keywords
+    if plain and history.name in _OPERATORS and len(history.operands) <= _LONGEST_CHAIN:
         symbol, own = _OPERATORS[history.name]
         # Operators group to the left, so only operands on the right need parentheses
         # around an operator of the same precedence.

@@ -15,14 +15,13 @@ from typing import NoReturn
 from fields.errors import InputError
 from fields.field import Field
 from fields.mesh import mesh
+from fields.notation import LIMIT
 from fields.operations import RULES
 from fields.primitives import PRIMITIVES
 
-LIMIT = 100_000
-"""The longest text, in characters, that is read."""
-
 _OPERATORS: dict[type[ast.operator], Callable[[Field, Field], Field]] = {
     ast.BitOr: Field.__or__,
+    ast.BitXor: Field.__xor__,
     ast.BitAnd: Field.__and__,
     ast.Sub: Field.__sub__,
 }
@@ -38,13 +37,15 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
     `field`, if its `repr` has no angle brackets.
 
     Allowed are the primitives (`sphere`, `below`, ...), the operations as functions and
-    as methods (`union(a, b)`, `a.translate((0, 0, 1))`), the operators `|`, `&` and `-`
-    between fields, numbers with a sign, strings, tuples, lists, and keyword arguments.
+    as methods (`union(a, b)`, `a.translate((0, 0, 1))`), the operators `|`, `^`, `&` and
+    `-` between fields and `~` before one, numbers with a sign, strings, tuples, lists,
+    and keyword arguments.
 
     Args:
-        text: one expression of at most 100,000 characters, with at most 200 parentheses
-            open at once (a limit of Python's own parser) and chains of at most some
-            hundreds of steps.
+        text: one expression of at most 1,000,000 characters (as many as `repr` writes),
+            with at most 200 parentheses open at once (a limit of Python's own parser) and
+            chains of at most some hundreds of steps. Lists may be long: of the arguments
+            of a union, say.
         allow_files: also allow `mesh("path")`, which reads a file.
 
     Raises:
@@ -94,8 +95,8 @@ class _Reader:
             self.text,
             where + cause,
             remedy
-            or "allowed are constructors and operations of fields, the operators | & - between "
-            "fields, signed numbers, strings, tuples and lists",
+            or "allowed are constructors and operations of fields, the operators | ^ & - between "
+            "fields, ~ before one, signed numbers, strings, tuples and lists",
         ) from None
 
     def column(self, node: ast.expr, at_end: bool = False) -> int:
@@ -141,9 +142,14 @@ class _Reader:
                     self.refuse(
                         self.column(node),
                         "only numbers take a sign",
-                        "for the complement of a field use .negate()",
+                        "for the complement of a field use ~ or .negate()",
                     )
                 return -number if isinstance(node.op, ast.USub) else number
+            case ast.UnaryOp(op=ast.Invert(), operand=operand):
+                field = self.value(operand)
+                if not isinstance(field, Field):
+                    self.refuse(self.column(node), "only fields have a complement")
+                return ~field
             case ast.Tuple(elts=items) | ast.List(elts=items):
                 return tuple(self.value(item) for item in items)
             case ast.Call(func=ast.Name(id=name)):

@@ -35,6 +35,7 @@ _HOME = {
     "MissingDependency": "errors",
     "NotInjective": "errors",
     "PushForwardReport": "push_forward",
+    "Shear": "shear",
     "SolveReport": "elastic_solve",
     "Taper": "axial",
     "TutteNet": "tuttenet",
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
     from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
     from implicit_warp.maps import Composition, Map
     from implicit_warp.push_forward import PushForwardReport, deform_mesh
+    from implicit_warp.shear import Shear
     from implicit_warp.threads import set_threads
     from implicit_warp.tuttenet import TutteNet
     from implicit_warp.warp import Warp

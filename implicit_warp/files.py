@@ -25,6 +25,7 @@ from implicit_warp.certificate import certify, disagreement
 from implicit_warp.errors import FileFormatError, InputError, NotInjective
 from implicit_warp.frames import refuse_non_rotations
 from implicit_warp.maps import Composition, Inverse, Map
+from implicit_warp.shear import Shear
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
 
@@ -98,8 +99,8 @@ def save(map_: Map, path: str | Path, *, units: str = "") -> None:
     """Write a map to a `.safetensors` file, with its certificate and a fingerprint of its numbers.
 
     Args:
-        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, `Twist`, `Taper`
-            or `Bend`, or a composition or inverse of these.
+        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, `Twist`, `Taper`,
+            `Shear` or `Bend`, or a composition or inverse of these.
         path: where to; written under a temporary name and renamed.
         units: a note on the units of the map's domain, such as "mm".
 
@@ -237,7 +238,7 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
         "map_",
         type(map_).__name__,
         "maps of this kind have no file format",
-        "save a TutteNet, Warp, Affine, Twist, Taper, Bend, or a composition of them",
+        "save a TutteNet, Warp, Affine, Twist, Taper, Shear, Bend, or a composition of them",
     )
 
 
@@ -281,6 +282,7 @@ _AXIAL: dict[type[AxialMap], tuple[str, ...]] = {
     Twist: ("degrees", "between"),
     Taper: ("factors", "between"),
     Bend: ("degrees", "between"),
+    Shear: ("slope", "between"),
 }
 """The arguments of the axial maps beside their frame and origin."""
 
