@@ -61,6 +61,15 @@ def vector(argument: str, value: object) -> Vector:
     return (x, y, z)
 
 
+def pair(argument: str, value: object) -> tuple[float, float]:
+    """Two finite numbers."""
+    items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
+    if not isinstance(items, list | tuple) or len(items) != 2:
+        raise InputError(argument, value, "two numbers are needed", "pass (x, y)")
+    x, y = (number(f"{argument}[{index}]", item) for index, item in enumerate(items))
+    return (x, y)
+
+
 def numbers_or_one(
     argument: str, value: object, check: Callable[[str, object], float] = positive
 ) -> Vector:
