@@ -8,7 +8,8 @@
     shape.bounds, shape.lipschitz, shape.exact
 
 Every field is an expression graph (`fields.expression`) with tags (`fields.tags`).
-Needs numpy and torch; `mesh` imports Open3D when it is called.
+Needs numpy and torch. What needs more imports it when it is called: `mesh` Open3D, `text` and
+`svg` fontTools and Manifold, `image` scikit-image and Pillow, outlines of many edges Numba.
 """
 
 from __future__ import annotations
@@ -33,6 +34,38 @@ from fields.primitives import (
     sphere,
     torus,
 )
+from fields.profiles.curved import (
+    arc,
+    circle,
+    ellipse,
+    line,
+    moon,
+    pie,
+    ring,
+    uneven_capsule,
+    vesica,
+)
+from fields.profiles.curves import spline
+from fields.profiles.drawing import svg
+from fields.profiles.lettering import text
+from fields.profiles.picture import image
+from fields.profiles.straight import (
+    cross,
+    hexagon,
+    octagon,
+    parallelogram,
+    polygon,
+    polyline,
+    rectangle,
+    regular_polygon,
+    rhombus,
+    rounded_rectangle,
+    star,
+    strip,
+    trapezoid,
+    triangle,
+)
+from fields.profiles.turned import lathe
 
 # Each operation is a method of Field and, unbound, a function of fields.
 union = Field.union
@@ -45,36 +78,80 @@ orient = Field.orient
 scale = Field.scale
 offset = Field.offset
 shell = Field.shell
+extrude = Field.extrude
+extrude_to = Field.extrude_to
+loft = Field.loft
+revolve = Field.revolve
+slice = Field.slice
+sweep = Field.sweep
+taper_extrude = Field.taper_extrude
+twist_extrude = Field.twist_extrude
 
 __all__ = [
     "Field",
     "InputError",
     "MissingDependency",
     "above",
+    "arc",
     "behind",
     "below",
     "box",
     "capsule",
+    "circle",
     "cone",
+    "cross",
     "cylinder",
     "difference",
+    "ellipse",
+    "extrude",
+    "extrude_to",
     "from_function",
     "front",
+    "hexagon",
+    "image",
     "intersection",
+    "lathe",
     "left",
+    "line",
+    "loft",
     "mesh",
+    "moon",
     "negate",
+    "octagon",
     "offset",
     "orient",
+    "parallelogram",
     "parse",
+    "pie",
     "plane",
+    "polygon",
+    "polyline",
+    "rectangle",
+    "regular_polygon",
+    "revolve",
+    "rhombus",
     "right",
+    "ring",
     "rotate",
     "rounded_box",
+    "rounded_rectangle",
     "scale",
     "shell",
+    "slice",
     "sphere",
+    "spline",
+    "star",
+    "strip",
+    "svg",
+    "sweep",
+    "taper_extrude",
+    "text",
     "torus",
     "translate",
+    "trapezoid",
+    "triangle",
+    "twist_extrude",
+    "uneven_capsule",
     "union",
+    "vesica",
 ]

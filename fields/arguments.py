@@ -52,6 +52,16 @@ def not_negative(argument: str, value: object) -> float:
     return result
 
 
+def whole(argument: str, value: object, least: int = 1) -> int:
+    """A whole number that is not too small; a float with such a value will do."""
+    result = number(argument, value)
+    if result != int(result) or result < least:
+        raise InputError(
+            argument, value, f"it must be a whole number of at least {least}", "pass an integer"
+        )
+    return int(result)
+
+
 def vector(argument: str, value: object) -> Vector:
     """Three finite numbers."""
     items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
@@ -61,13 +71,17 @@ def vector(argument: str, value: object) -> Vector:
     return (x, y, z)
 
 
-def pair(argument: str, value: object) -> tuple[float, float]:
-    """Two finite numbers."""
-    items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
-    if not isinstance(items, list | tuple) or len(items) != 2:
-        raise InputError(argument, value, "two numbers are needed", "pass (x, y)")
-    x, y = (number(f"{argument}[{index}]", item) for index, item in enumerate(items))
-    return (x, y)
+def pair(
+    argument: str, value: object, check: Callable[[str, object], float] = number
+) -> tuple[float, float]:
+    """Two checked numbers."""
+    try:
+        first, second = value  # type: ignore[misc]
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            argument, value, "not a pair of numbers", "pass two, such as (0, 1)"
+        ) from error
+    return (check(f"{argument}[0]", first), check(f"{argument}[1]", second))
 
 
 def numbers_or_one(

@@ -16,6 +16,7 @@ from fields.errors import InputError
 from fields.expression import Expression, X, Y, Z, call, remap
 from fields.methods.combinations import Combinations
 from fields.methods.motions import Motions
+from fields.methods.solids import Solids
 from fields.notation import Call, History, Opaque
 from fields.operations import Body
 from fields.oracle import FunctionOracle, Oracle
@@ -24,7 +25,7 @@ from fields.tape import Tape
 
 
 @final
-class Field(Combinations, Motions):
+class Field(Combinations, Motions, Solids):
     """A scalar function on R^3 whose zero set is a surface; negative inside.
 
     Immutable. Made by the primitives (`fields.sphere` and so on), combined with `|`

@@ -27,7 +27,10 @@ ALLOWED = {
 OURS = {*ALLOWED, "tests", "examples"}
 
 FIELDS_LIBRARIES = {"numpy", "torch"}
-FIELDS_ON_USE = {"fields/mesh.py": {"open3d"}}
+FIELDS_ON_USE = {
+    "fields/mesh.py": {"open3d"},
+    "fields/profiles/filling.py": {"manifold3d"},
+}
 # Compiled kernels: these modules import numba, and are themselves imported on use.
 FIELDS_KERNELS = {"fields/jit.py"}
 

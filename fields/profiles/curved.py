@@ -243,7 +243,7 @@ def ellipse(radii: ArrayLike) -> Body:
     Args:
         radii: `(2,)`, along x and along y.
     """
-    rx, ry = (arguments.positive("radii", r) for r in arguments.pair("radii", radii))
+    rx, ry = arguments.pair("radii", radii, arguments.positive)
     if rx == ry:
         distance = length(X, Y) - rx
     elif rx > ry:

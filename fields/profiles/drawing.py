@@ -17,7 +17,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,7 +174,7 @@ class _Drawing:
             parse_path = font_tools("fontTools.svgLib.path", "an SVG profile").parse_path
             try:
                 return drawn_contours(lambda pen: parse_path(element.get("d", ""), pen))
-            except Exception as error:  # the parser raises whatever bad data leads it into
+            except (ValueError, IndexError, TypeError, AttributeError, AssertionError) as error:
                 self._refuse(f"it has path data that cannot be read ({error})", "export it again")
         if tag in ("polygon", "polyline"):
             values = [float(v) for v in re.findall(_NUMBER, element.get("points", ""))]
@@ -199,7 +199,7 @@ class _Drawing:
             self._refuse(f"it has {name}={text!r}", "use plain numbers, without units")
         return float(text)
 
-    def _refuse(self, cause: str, remedy: str):
+    def _refuse(self, cause: str, remedy: str) -> NoReturn:
         raise InputError("path", str(self._path), cause, remedy) from None
 
 

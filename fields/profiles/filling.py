@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from types import ModuleType
 from typing import Literal
 
 import numpy as np
@@ -74,7 +75,7 @@ def _without_repeats(polygon: Points) -> Points:
     return polygon[(polygon != np.roll(polygon, 1, axis=0)).any(axis=1)]
 
 
-def _import_manifold():
+def _import_manifold() -> ModuleType:
     try:
         return import_module("manifold3d")
     except ImportError as error:

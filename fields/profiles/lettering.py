@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -112,9 +113,9 @@ def _typeset(source: Any, path: Path, string: str, align: Align) -> list[list[Co
     placed: list[list[Contour]] = []
     for row, line in enumerate(string.split("\n")):
         names = [_glyph_name(source, path, letter) for letter in line]
-        advances = [glyphs[name].width for name in names]
-        kerns = [kern(left, right) for left, right in zip(names, names[1:], strict=False)]
-        starts = np.cumsum([0.0, *(np.array(advances) + [*kerns, 0.0][: len(names)])])
+        kerns = [kern(left, right) for left, right in pairwise(names)]
+        steps = [glyphs[name].width + k for name, k in zip(names, [*kerns, 0.0], strict=False)]
+        starts = np.cumsum([0.0, *steps])
         for name, start in zip(names, starts - shift * starts[-1], strict=False):
             origin = np.array([start, -row * pitch])
             contours = drawn_contours(glyphs[name].draw, glyphs)

@@ -20,6 +20,9 @@ from fields.profiles.outline import outline_body
 
 Inside = Literal["bright", "dark"]
 
+_OFF_LEVEL = 1e-6
+"""Samples are kept so far off the level, as a part of the largest difference from it."""
+
 
 def image(
     source: ArrayLike | str | os.PathLike[str],
@@ -75,9 +78,11 @@ def _outlines(height: NDArray[np.float64], width: float) -> list[Points]:
     # All there is around the picture is a negative frame, as far from the level as it can be
     # without the border leaving the picture by more than half a pixel.
     framed = np.pad(height, 1, constant_values=-float(height.max()))
-    # A sample exactly on the level would make edges of no length; it counts as outside.
-    framed[framed == 0] = -np.finfo(np.float64).tiny
-    contours = _library("skimage.measure", "scikit-image").find_contours(framed, 0.0)
+    # Samples on the level would make edges of no length, and slits whose sides coincide.
+    least = _OFF_LEVEL * np.abs(framed).max()
+    framed = np.where(np.abs(framed) < least, np.where(framed > 0, least, -least), framed)
+    measure = _library("skimage.measure", "scikit-image")
+    contours = measure.find_contours(framed, 0.0, positive_orientation="high")
     rows, columns = height.shape
     center = np.array([rows + 1, columns + 1]) / 2
     pixel = width / columns

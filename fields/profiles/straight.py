@@ -32,21 +32,8 @@ def profile_body(expression: Expression, low: ArrayLike, high: ArrayLike) -> Bod
 
 def pair_or_one(argument: str, value: float | ArrayLike) -> tuple[float, float]:
     """Two positive numbers, or one that is used twice."""
-    pair = (value, value) if np.ndim(value) == 0 else arguments.pair(argument, value)
-    return (arguments.positive(argument, pair[0]), arguments.positive(argument, pair[1]))
-
-
-def whole(argument: str, value: object, least: int) -> int:
-    """A whole number that is not too small."""
-    number = arguments.number(argument, value)
-    if number != round(number) or number < least:
-        raise InputError(
-            argument,
-            value,
-            "it is not a whole number that is large enough",
-            f"pass {least} or more",
-        )
-    return int(number)
+    pair = (value, value) if np.ndim(value) == 0 else value
+    return arguments.pair(argument, pair, arguments.positive)
 
 
 # --- rectangles -----------------------------------------------------------------------
@@ -210,7 +197,7 @@ def regular_polygon(sides: int, radius: float) -> Body:
         sides: three or more.
         radius: of the circle through the corners.
     """
-    n = whole("sides", sides, 3)
+    n = arguments.whole("sides", sides, 3)
     r = arguments.positive("radius", radius)
     return _star(n, r, r * math.cos(math.pi / n))
 
@@ -251,7 +238,7 @@ def star(points: int, radius: float, inner: float) -> Body:
         inner: radius of the circle through the corners between them; at most what makes a regular
             polygon, radius * cos(pi / points). For a pentagram radius * 0.381966.
     """
-    n = whole("points", points, 3)
+    n = arguments.whole("points", points, 3)
     outer = arguments.positive("radius", radius)
     least = arguments.positive("inner", inner)
     if least > outer * math.cos(math.pi / n) * (1 + 1e-12):
