@@ -151,9 +151,10 @@ def sweep(body: Body, points: ArrayLike) -> Body:
     bound 1. The prisms of neighbouring joints share a segment, so no surface is left inside.
     One segment alone is an extrusion, exact if a is; more are not, because a prism's plane
     distances fall short beside its edges.
-    Extent: a corner at a joint is at most rho / cos(half the turn) from it. Growth: a point with
-    value t is within R = rho + sqrt(2) g t of the axis of a segment and ends at most
-    (t + R sin) / cos beyond its joint.
+    Extent: around the corners of the profile's box in all planes. Growth: where the value is at
+    most t, the profile's coordinates are within sqrt(2) g t of its box, so the planes are up to
+    sqrt(2) g t tan farther than where the box meets them, and up to t / cos may be beyond; with
+    half of the turn at a joint in sin, cos and tan.
     """
     tags = bounded_profile(body).tags
     reach = reach_of(tags.extent)
@@ -170,15 +171,27 @@ def sweep(body: Body, points: ArrayLike) -> Body:
             for i in range(1, len(frames))
         ]
         expression = minimum(*pieces)
-    steepest = float(path.half_turns.max())
-    spread = (reach / np.cos(path.half_turns))[:, None]
-    extent = np.stack([(path.points - spread).min(axis=0), (path.points + spread).max(axis=0)])
-    growth = None
-    if tags.growth is not None:
-        wide = math.sqrt(2) * tags.growth
-        growth = math.hypot(wide, (1 + wide * math.sin(steepest)) / math.cos(steepest))
     exact = tags.exact and len(frames) == 1
+    growth = None
+    if exact:
+        growth = 1.0
+    elif tags.growth is not None:
+        steepest, wide = float(path.half_turns.max()), math.sqrt(2) * tags.growth
+        growth = math.hypot(wide, (1 + wide * math.sin(steepest)) / math.cos(steepest))
+    extent = _swept_extent(path, tags.extent)
     return Body(expression, Tags(exact, largest([1.0, tags.lipschitz]), extent, growth))
+
+
+def _swept_extent(path: _Path, profile: Box) -> Box:
+    """The box around the corners of the profile's own box in the planes of all joints."""
+    u, v = np.meshgrid(*profile[:, :2].T)
+    corners = np.stack([u.ravel(), v.ravel(), np.zeros(4)])
+    frames = np.concatenate([path.frames[:1], path.frames])
+    square = np.einsum("ijk,kc->icj", frames, corners)
+    along, normal = frames[:, :, 2], path.planes
+    slide = np.einsum("icj,ij->ic", square, normal) / np.einsum("ij,ij->i", along, normal)[:, None]
+    placed = path.points[:, None] + square - slide[:, :, None] * along[:, None]
+    return np.stack([placed.min(axis=(0, 1)), placed.max(axis=(0, 1))])
 
 
 def _bent_prism(

@@ -149,6 +149,9 @@ ATTACKS = [
     "sphere(1)\0",
     "mesh('part.stl')",
     "mesh(source='part.stl')",
+    "text('abc')",
+    "svg('drawing.svg')",
+    "image('picture.png')",
     "await sphere(1)",
     "yield sphere(1)",
 ]
@@ -194,7 +197,7 @@ def test_reads_chains_of_hundreds_of_steps():
 @pytest.mark.parametrize(
     ("text", "column", "words"),
     [
-        ("sphere(1) | kugel(2)", 13, ["'kugel'", "the known names are above, behind"]),
+        ("sphere(1) | kugel(2)", 13, ["'kugel'", "the known names are above, "]),
         ("  kugel(2)", 3, ["'kugel'"]),
         ("sphere(1).verschiebe((0, 0, 1))", 11, ["'verschiebe'", "known methods are", "shell"]),
         ("sphere(1).radius", 11, ["'radius'", "parentheses"]),
