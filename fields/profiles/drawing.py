@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fields import arguments, notation
-from fields.errors import InputError
+from fields.errors import InputError, needing
 from fields.field import Field, make_field
 from fields.profiles.curves import Contour, straight
 from fields.profiles.filling import FillRule, Shape, filled
 from fields.profiles.outline import outline_body
-from fields.profiles.pens import drawn_contours, font_tools
+from fields.profiles.pens import drawn_contours
 
 Matrix = NDArray[np.float64]
 """An affine map of the plane `(3, 3)`."""
@@ -57,7 +57,7 @@ def svg(
     Raises:
         InputError: the file does not exist, is no SVG, has something that cannot be read, or fills
             nothing.
-        MissingDependency: fontTools is not installed.
+        MissingDependency: fontTools is not installed, and the file has path data.
     """
     source = Path(path)
     accuracy = None if tolerance is None else arguments.positive("tolerance", tolerance)
@@ -90,7 +90,6 @@ class _Drawing:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        font_tools("fontTools.svgLib.path", "an SVG profile")
         if not path.is_file():
             raise InputError("path", str(path), "there is no such file", "check the path")
         try:
@@ -171,7 +170,8 @@ class _Drawing:
 
     def _contours(self, element: ElementTree.Element, tag: str) -> list[Contour]:
         if tag == "path":
-            parse_path = font_tools("fontTools.svgLib.path", "an SVG profile").parse_path
+            with needing("fonttools", "an SVG drawing"):
+                from fontTools.svgLib.path import parse_path
             try:
                 return drawn_contours(lambda pen: parse_path(element.get("d", ""), pen))
             except (ValueError, IndexError, TypeError, AttributeError, AssertionError) as error:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from types import ModuleType
 from typing import Literal
 
 import numpy as np
 
-from fields.errors import InputError, MissingDependency
+from fields.errors import InputError, needing
 from fields.profiles.curves import Contour, checked_tolerance, chords
 from fields.profiles.edges import Points
 
@@ -50,37 +48,29 @@ def filled(
 
 
 def _united(shapes: list[tuple[list[Points], FillRule]]) -> list[Points]:
-    manifold = _import_manifold()
+    with needing("manifold3d", "filling outlines"):
+        from manifold3d import CrossSection, OpType
+        from manifold3d import FillRule as Rule
+
     every = np.concatenate([polygon for polygons, _ in shapes for polygon in polygons])
     center = (every.min(axis=0) + every.max(axis=0)) / 2
     extent = float(np.ptp(every, axis=0).max())
     if extent == 0:
         return []
     factor = 2.0 ** np.floor(np.log2(_SIZE / extent))
-    rules = {"nonzero": manifold.FillRule.NonZero, "evenodd": manifold.FillRule.EvenOdd}
+    rules = {"nonzero": Rule.NonZero, "evenodd": Rule.EvenOdd}
     sections = [
-        manifold.CrossSection(
+        CrossSection(
             [(polygon - center) * factor for polygon in polygons if len(polygon) > 2], rules[rule]
         )
         for polygons, rule in shapes
     ]
     whole = sections[0]
     if len(sections) > 1:
-        whole = manifold.CrossSection.batch_boolean(sections, manifold.OpType.Add)
+        whole = CrossSection.batch_boolean(sections, OpType.Add)
     polygons = [np.asarray(p, np.float64) / factor + center for p in whole.to_polygons()]
     return [polygon for polygon in map(_without_repeats, polygons) if len(polygon) > 2]
 
 
 def _without_repeats(polygon: Points) -> Points:
     return polygon[(polygon != np.roll(polygon, 1, axis=0)).any(axis=1)]
-
-
-def _import_manifold() -> ModuleType:
-    try:
-        return import_module("manifold3d")
-    except ImportError as error:
-        raise MissingDependency(
-            "manifold3d",
-            "filling overlapping outlines",
-            f"Install it with `pip install manifold3d` (the import said: {error})",
-        ) from error

@@ -11,17 +11,15 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from fields import arguments, notation
-from fields.errors import InputError, MissingDependency
+from fields.errors import InputError, MissingDependency, needing
 from fields.field import Field, make_field
 from fields.profiles.curves import Contour
 from fields.profiles.filling import Shape, filled
 from fields.profiles.kerning import kerning
 from fields.profiles.outline import outline_body
-from fields.profiles.pens import drawn_contours, font_tools
+from fields.profiles.pens import drawn_contours
 
 Align = Literal["left", "center", "right"]
-
-_NEEDED_FOR = "text"
 
 
 def text(
@@ -91,11 +89,12 @@ def _default_font() -> Path:
 
 
 def _opened(path: Path) -> Any:
-    module = font_tools("fontTools.ttLib", _NEEDED_FOR)
+    with needing("fonttools", "text"):
+        from fontTools.ttLib import TTFont
     if not path.is_file():
         raise InputError("font", str(path), "there is no such file", "check the path")
     try:
-        source = module.TTFont(path, fontNumber=0)
+        source = TTFont(path, fontNumber=0)
         source.getGlyphSet()
         source.getBestCmap()
     except Exception as error:  # the library raises whatever a broken file leads it into

@@ -14,8 +14,11 @@ from fields.oracle import Boxes, enclose_by_lipschitz
 from fields.profiles.edges import Edges, Points, closed_edges, edges_distance, joined
 from fields.tags import EVERYWHERE, Box, Tags
 
-FEW = 48
-"""Up to so many edges are arithmetic, some 25 operations each; more are searched."""
+FEW = 16
+"""Up to so many edges are arithmetic, some 25 operations each; more are searched.
+
+The search is faster from 4 edges on, as long as torch does the arithmetic; but what is arithmetic
+can be compiled into one kernel with the rest of a scene, and be written as a shader."""
 
 
 def outline_body(contours: list[Points]) -> Body:

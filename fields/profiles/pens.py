@@ -3,26 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-from fields.errors import MissingDependency
+from fields.errors import needing
 from fields.profiles.curves import Contour, straight
-
-
-def font_tools(module: str, needed_for: str) -> ModuleType:
-    """A module of fontTools, or an error that says what needs it and how to get it."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise MissingDependency(
-            "fonttools",
-            needed_for,
-            f"Install it with `pip install fonttools` (the import said: {error})",
-        ) from error
 
 
 def drawn_contours(draw: Callable[[Any], None], glyphs: Any = None) -> list[Contour]:
@@ -32,9 +18,10 @@ def drawn_contours(draw: Callable[[Any], None], glyphs: Any = None) -> list[Cont
         draw: calls the methods of a fontTools pen.
         glyphs: the glyph set that components are taken from, if there can be any.
     """
-    base = font_tools("fontTools.pens.basePen", "drawing outlines").BasePen
+    with needing("fonttools", "drawing outlines"):
+        from fontTools.pens.basePen import BasePen
 
-    class Pen(base):  # type: ignore[misc, valid-type]
+    class Pen(BasePen):  # type: ignore[misc]
         """Collects cubic segments; the base class brings all other kinds to this form."""
 
         def __init__(self) -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fields import arguments, notation
-from fields.errors import InputError, MissingDependency
+from fields.errors import InputError, needing
 from fields.field import Field, make_field
 from fields.notation import History, Opaque
 from fields.profiles.edges import Points
@@ -81,8 +79,9 @@ def _outlines(height: NDArray[np.float64], width: float) -> list[Points]:
     # Samples on the level would make edges of no length, and slits whose sides coincide.
     least = _OFF_LEVEL * np.abs(framed).max()
     framed = np.where(np.abs(framed) < least, np.where(framed > 0, least, -least), framed)
-    measure = _library("skimage.measure", "scikit-image")
-    contours = measure.find_contours(framed, 0.0, positive_orientation="high")
+    with needing("scikit-image", "an image profile"):
+        from skimage.measure import find_contours
+    contours = find_contours(framed, 0.0, positive_orientation="high")
     rows, columns = height.shape
     center = np.array([rows + 1, columns + 1]) / 2
     pixel = width / columns
@@ -112,25 +111,17 @@ def _checked(source: ArrayLike) -> NDArray[np.float64]:
 
 
 def _read(path: Path) -> NDArray[np.float64]:
-    module = _library("PIL.Image", "pillow")
+    with needing("pillow", "reading a picture"):
+        from PIL import Image
     if not path.is_file():
         raise InputError("source", str(path), "there is no such file", "check the path")
     try:
-        with module.open(path) as opened:
+        with Image.open(path) as opened:
             picture = opened.convert("RGBA")
-    except (OSError, ValueError, SyntaxError, module.DecompressionBombError) as error:
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise InputError(
             "source", str(path), f"it cannot be read as a picture ({error})", "pass a PNG file"
         ) from error
-    paper = module.new("RGBA", picture.size, "white")
-    grey = module.alpha_composite(paper, picture).convert("L")
+    paper = Image.new("RGBA", picture.size, "white")
+    grey = Image.alpha_composite(paper, picture).convert("L")
     return np.asarray(grey, dtype=np.float64) / 255
-
-
-def _library(module: str, package: str) -> ModuleType:
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise MissingDependency(
-            package, "an image profile", f"Install it with `pip install {package}`"
-        ) from error

@@ -292,7 +292,7 @@ def _unit(angle: float) -> tuple[float, float]:
 def polygon(points: ArrayLike) -> Body:
     """A profile: any simple polygon, convex or not.
 
-    Up to 48 edges are arithmetic; more are searched in a tree of boxes by a compiled kernel.
+    Up to 16 edges are arithmetic; more are searched in a tree of boxes by a compiled kernel.
 
     Args:
         points: `(n, 2)`, at least three corners in order, in either direction.

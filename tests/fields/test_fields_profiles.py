@@ -90,9 +90,9 @@ def test_values_worked_out_by_hand(field, points, values):
 # --- polygons ---
 
 
-@pytest.mark.parametrize("count", [3, 4, 7, 30, 49, 300, 1500])
+@pytest.mark.parametrize("count", [3, 4, 7, 16, 17, 300, 1500])
 def test_a_polygon_is_its_distance_by_brute_force(count, rng):
-    """Arithmetic up to 48 edges, the search beyond."""
+    """Arithmetic for few edges, the search for more."""
     corners = random_polygon(rng, count)
     points = rng.uniform(-1.5, 1.5, (1_000, 3))
     field = sdf.polygon(corners)
@@ -118,10 +118,9 @@ def test_a_search_has_gradients_of_any_order(rng):
     points = torch.from_numpy(rng.uniform(-1.5, 1.5, (50, 3)))
     few = sdf.Field(edges_distance(closed_edges(FLOWER)))
     np.testing.assert_allclose(field.gradient(points), few.gradient(points), atol=1e-13)
-    for f in (field, few):
-        at = points.clone().requires_grad_()
-        assert torch.autograd.gradcheck(f.evaluate, (at[:3],))
-        assert torch.autograd.gradgradcheck(f.evaluate, (at[:3],))
+    at = points[:5].clone().requires_grad_()
+    assert torch.autograd.gradcheck(field.evaluate, (at,))
+    assert torch.autograd.gradgradcheck(field.evaluate, (at,))
     np.testing.assert_array_equal(field.gradient(torch.from_numpy(FLOWER[:1] @ np.eye(2, 3))), 0)
 
 
