@@ -78,6 +78,7 @@ orient = Field.orient
 scale = Field.scale
 offset = Field.offset
 shell = Field.shell
+coil = Field.coil
 extrude = Field.extrude
 extrude_to = Field.extrude_to
 loft = Field.loft
@@ -98,6 +99,7 @@ __all__ = [
     "box",
     "capsule",
     "circle",
+    "coil",
     "cone",
     "cross",
     "cylinder",

@@ -18,9 +18,11 @@ from fields.expression import (
     X,
     Y,
     Z,
+    atan2,
     length,
     maximum,
     minimum,
+    modulo,
     remap,
     where_negative,
 )
@@ -83,8 +85,6 @@ def revolve(body: Body, offset: float = 0.0, degrees: float = 360.0) -> Body:
         value = _part_of_a_turn(body.expression, across, shift, math.radians(turn) / 2)
         exact = tags.exact and is_beyond
         lipschitz, growth = largest([1.0, tags.lipschitz]), largest([1.0, growth])
-    if is_touching and growth is not None:
-        growth = max(growth, 1.0)
     extent = _ring_extent(max(inner, 0.0), outer, math.radians(turn))
     extent[:, 2] = tags.extent[:, 1]
     return Body(value, Tags(exact, lipschitz, extent, growth))
@@ -118,6 +118,56 @@ def _ring_extent(inner: float, outer: float, turn: float) -> Box:
     extent = np.zeros((2, 3))
     extent[0, :2], extent[1, :2] = ends.min(axis=0), ends.max(axis=0)
     return extent
+
+
+@rule
+def coil(body: Body, radius: float, pitch: float, turns: float) -> Body:
+    """The nearest two of the sections a(r - radius, z - p phi - k pitch), cut off at both ends.
+
+    With e the largest |y| of S, g the growth of a and m the inner radius of the coil, a section is
+    at least (pitch - e) / g where it is swapped for the next one, and at least m / (2 g) within m/2
+    of the axis. No value above the smaller of both is kept, so the result is continuous, and flat
+    near the axis, where the slope of the coil would have no bound. So the Lipschitz bound is that
+    of a times sqrt(1 + (p / (m/2))^2), p = pitch / (2 pi). The solid is cut out of its cylinder,
+    whose distance takes over beyond, and gives it growth 1.
+    """
+    around, rise = arguments.positive("radius", radius), arguments.number("pitch", pitch)
+    half = abs(rise) * arguments.positive("turns", turns) / 2
+    tags = bounded_profile(body).tags
+    tallest = float(np.abs(tags.extent[:, 1]).max())
+    inner, outer = (tags.extent[:, 0] + around).tolist()
+    if abs(rise) <= tallest:
+        raise InputError(
+            "pitch", pitch, f"the profile reaches {tallest:g} up or down", "pass a larger pitch"
+        )
+    if inner <= 0:
+        raise InputError(
+            "radius", radius, f"the profile reaches the axis, to {inner:g}", "pass a larger radius"
+        )
+    angle = atan2(Y, X) if rise > 0 else -atan2(Y, X)
+    over = modulo(Z - angle * (abs(rise) / (2 * math.pi)), abs(rise))
+    across = length(X, Y) - around
+    sections = [remap(body.expression, (across, y, Z)) for y in (over, over - abs(rise))]
+    lipschitz = tags.lipschitz
+    if lipschitz is not None:
+        lipschitz = max(1.0, lipschitz * math.hypot(1.0, abs(rise) / (math.pi * inner)))
+    cylinder = box_distance((length(X, Y) - outer, abs(Z) - half))
+    extent = np.array([(-outer, -outer, -half), (outer, outer, half)])
+    most = min(abs(rise) - tallest, inner / 2) / _known_growth(body)
+    expression = maximum(minimum(*sections, most), cylinder)
+    return Body(expression, Tags(False, lipschitz, extent, 1.0))
+
+
+def _known_growth(body: Body) -> float:
+    """At most t only within so much times t of the bounds."""
+    if body.tags.growth is None:
+        raise InputError(
+            "field",
+            body.expression,
+            "nothing is known of its values away from its shape",
+            "state the growth of a remapped field",
+        )
+    return body.tags.growth
 
 
 # --- along paths ----------------------------------------------------------------------

@@ -119,6 +119,23 @@ class Solids(FieldBase):
         """
         return derived(sweeps.revolve, (self,), offset=offset, degrees=degrees)
 
+    def coil(self, radius: float, pitch: float, turns: float) -> Self:
+        """The profile wound about the z axis, as a spring or a thread, with ends cut flat in z.
+
+        The profile stays in a half-plane through the axis: its x is added to the radius, its y to
+        the height. Not exact; values far from the surface are cut off, see the Lipschitz bound.
+
+        Args:
+            radius: of the helix; the profile must not reach the axis.
+            pitch: the rise with each turn, negative for a left-handed coil; more than the profile
+                reaches up or down. Turns may overlap.
+            turns: how many; |pitch| * turns is the height, centred at z = 0.
+
+        Raises:
+            InputError: the field is not a profile, not bounded in x and y, or does not fit.
+        """
+        return derived(sweeps.coil, (self,), radius=radius, pitch=pitch, turns=turns)
+
     def sweep(self, points: ArrayLike) -> Self:
         """The profile moved along a chain of segments, with mitred joints and flat ends.
 

@@ -30,7 +30,7 @@ from fields.expression import (
 from fields.operations import Body
 from fields.primitives import primitive
 from fields.profiles.edges import edges_distance, open_edges
-from fields.profiles.straight import profile_body
+from fields.profiles.outline import profile_body
 
 _ORIGIN = (0.0, 0.0)
 

@@ -106,7 +106,9 @@ class _Drawing:
         upwards = np.diag([1.0, -1.0, 1.0])
         yield from self._walk(self._root, _Style(upwards), 0)
 
-    def _walk(self, element: ElementTree.Element, outer: _Style, depth: int) -> Iterator[Shape]:
+    def _walk(
+        self, element: ElementTree.Element, outer: _Style, depth: int, used: bool = False
+    ) -> Iterator[Shape]:
         properties = self._properties(element)
         if properties.get("display") == "none":
             return
@@ -123,7 +125,9 @@ class _Drawing:
         )
         tag = _tag(element)
         is_drawn = style.visibility == "visible" and style.fill not in ("none", "transparent")
-        if tag in _GROUPS:
+        if tag in ("svg", "symbol") and depth > 0 and {"viewBox", "x", "y"} & properties.keys():
+            self._refuse(f"a <{tag}> in it has a place or view of its own", "flatten it")
+        if tag in _GROUPS or (used and tag == "symbol"):
             for child in element:
                 yield from self._walk(child, style, depth + 1)
         elif tag == "use":
@@ -145,10 +149,7 @@ class _Drawing:
         shift = np.eye(3)
         shift[:2, 2] = self._number(element, "x"), self._number(element, "y")
         moved = style._replace(matrix=style.matrix @ shift)
-        # A symbol is drawn only where it is used; as a group then.
-        items = list(target) if _tag(target) == "symbol" else [target]
-        for item in items:
-            yield from self._walk(item, moved, depth + 1)
+        yield from self._walk(target, moved, depth + 1, used=True)
 
     def _properties(self, element: ElementTree.Element) -> dict[str, str]:
         """Attributes, overruled by class rules, overruled by the style attribute."""

@@ -108,10 +108,10 @@ def _typeset(source: Any, path: Path, string: str, align: Align) -> list[list[Co
     """The contours of every glyph in its place, in the font's units."""
     shift = {"left": 0.0, "center": 0.5, "right": 1.0}[align]
     pitch = source["hhea"].ascent - source["hhea"].descent + source["hhea"].lineGap
-    glyphs, kern = source.getGlyphSet(), kerning(source)
+    glyphs, known, kern = source.getGlyphSet(), source.getBestCmap() or {}, kerning(source)
     placed: list[list[Contour]] = []
     for row, line in enumerate(string.split("\n")):
-        names = [_glyph_name(source, path, letter) for letter in line]
+        names = [_glyph_name(known, path, letter) for letter in line]
         kerns = [kern(left, right) for left, right in pairwise(names)]
         steps = [glyphs[name].width + k for name, k in zip(names, [*kerns, 0.0], strict=False)]
         starts = np.cumsum([0.0, *steps])
@@ -122,8 +122,8 @@ def _typeset(source: Any, path: Path, string: str, align: Align) -> list[list[Co
     return placed
 
 
-def _glyph_name(source: Any, path: Path, letter: str) -> str:
-    name = source.getBestCmap().get(ord(letter)) if source.getBestCmap() else None
+def _glyph_name(known: dict[int, str], path: Path, letter: str) -> str:
+    name = known.get(ord(letter))
     if name is None:
         raise InputError(
             "string",

@@ -6,6 +6,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from fields.expression import Expression, X, Y, call, constant
@@ -31,11 +32,16 @@ def outline_body(contours: list[Points]) -> Body:
     return Body(outline_distance(edges), Tags.of_distance(extent))
 
 
-def plane_extent(low: object, high: object) -> Box:
+def plane_extent(low: ArrayLike, high: ArrayLike) -> Box:
     """The extent of a profile with corners `(2,)`: unbounded in z."""
     extent = EVERYWHERE.copy()
     extent[0, :2], extent[1, :2] = low, high
     return extent
+
+
+def profile_body(expression: Expression, low: ArrayLike, high: ArrayLike) -> Body:
+    """An exact profile with corners `(2,)` of its bounds."""
+    return Body(expression, Tags.of_distance(plane_extent(low, high)))
 
 
 def outline_distance(edges: Edges) -> Expression:

@@ -18,16 +18,16 @@ from fields.expression import Expression, X, Y, maximum, minimum, where_negative
 from fields.operations import Body
 from fields.primitives import primitive
 from fields.profiles.edges import edges_distance, open_edges
-from fields.profiles.outline import outline_body, outline_distance, plane_extent
+from fields.profiles.outline import (
+    outline_body,
+    outline_distance,
+    plane_extent,
+    profile_body,
+)
 from fields.profiles.simple import plane_points, simple_polygon
 from fields.tags import Tags
 
 _ORIGIN = (0.0, 0.0)
-
-
-def profile_body(expression: Expression, low: ArrayLike, high: ArrayLike) -> Body:
-    """An exact profile with corners `(2,)` of its bounds."""
-    return Body(expression, Tags.of_distance(plane_extent(low, high)))
 
 
 def pair_or_one(argument: str, value: float | ArrayLike) -> tuple[float, float]:

@@ -333,6 +333,8 @@ def test_width_scales_a_drawing_and_tolerance_is_in_the_result(drawn):
         ("<text>abc</text>", "has a <text> element"),
         ('<g clip-path="url(#c)"><rect width="5" height="5"/></g>', "uses clip-path"),
         ('<rect style="mask:url(#m)" width="5" height="5"/>', "uses mask"),
+        ('<svg viewBox="0 0 1 1"><rect width="1" height="1"/></svg>', "view of its own"),
+        ('<symbol id="s" viewBox="0 0 1 1"/><use href="#s"/>', "view of its own"),
         ('<use href="#nothing"/>', "uses '#nothing', which is not in it"),
         ('<use href="other.svg#a"/>', "which is not in it"),
         ('<g id="a"><use href="#a"/></g>', "nested too deeply"),

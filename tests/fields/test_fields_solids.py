@@ -63,6 +63,9 @@ def sampled_volume(field: sdf.Field, rng: np.random.Generator, count: int = 96) 
         (sdf.rectangle((1.6, 1.1)).revolve(), np.pi * 0.64 * 1.1),
         (sdf.rectangle((1.6, 1.1)).revolve(degrees=90), np.pi * 0.64 * 1.1 / 4),
         (sdf.polygon([(0, -0.8), (0.9, -0.5), (0, 0.8)]).revolve(), np.pi * 0.81 * 1.6 / 3),
+        # Over whole turns every half-plane has the section once a turn.
+        (sdf.rectangle((0.4, 0.2)).coil(0.9, 0.5, 3), 0.08 * 2 * np.pi * 0.9 * 3),
+        (sdf.polygon(WEDGE).coil(0.2, -1.5, 2), WEDGE_AREA * 2 * np.pi * (WEDGE_X + 0.2) * 2),
         # A mitred sweep of a shape centred on the path has the volume of the straight one.
         (
             sdf.rectangle((0.5, 0.3)).sweep(
@@ -146,6 +149,7 @@ def test_the_bound_of_a_twist_is_reached_and_not_passed(degrees_a_unit, rng):
         sdf.rectangle(1).taper_extrude(0.5, 3),
         sdf.star(7, 1, 0.3).extrude_to(sdf.circle(0.1), 0.2, "smooth"),
         sdf.rectangle((0.4, 0.2)).sweep([(0, 0, 0), (2, 0, 0), (1, 1.5, 0), (0, 0, 1)]),
+        sdf.circle(0.2).coil(0.5, 2, 3),
     ],
     ids=repr,
 )
@@ -210,6 +214,7 @@ def test_the_exact_tag(solid, exact):
         (sdf.circle(1).revolve(2, 180), [[-3, 0, -1], [3, 3, 1]]),
         (sdf.circle(1).revolve(2, 60), [[0.5, 0, -1], [3, 3 * 0.75**0.5, 1]]),
         (sdf.circle(1).revolve(0, 90), [[0, 0, -1], [1, 1, 1]]),
+        (sdf.circle(1).coil(3, 2, 5), [[-4, -4, -5], [4, 4, 5]]),
         (sdf.circle(1).sweep([(0, 0, 0), (0, 0, 9)]), [[-1, -1, 0], [1, 1, 9]]),
         (sdf.circle(1).sweep([(0, 0, 0), (0, 0, 9), (0, 9, 9)]), [[-1, -1, 0], [1, 9, 10]]),
         (sdf.strip(1).extrude(1), None),
@@ -261,6 +266,16 @@ def test_a_sweep_keeps_the_profile_through_joints(rng):
         at = middle + u * np.array(x) + v * np.array(y)
         section = profile(np.column_stack([u, v, np.zeros(500)]))
         np.testing.assert_allclose(swept(at), section, atol=1e-14)
+
+
+def test_coils_are_handed(rng):
+    """A quarter of a turn on, a right-handed coil is a quarter of its pitch higher."""
+    for pitch in (1.0, -1.0):
+        spring = sdf.circle(0.2).coil(1, pitch, 4)
+        angle = rng.uniform(-np.pi, np.pi, 500)
+        height = pitch * angle / (2 * np.pi)
+        on_path = np.stack([np.cos(angle), np.sin(angle), height], axis=1)
+        np.testing.assert_allclose(spring(on_path), -0.2, atol=1e-12)
 
 
 # --- meshes ---
@@ -320,6 +335,10 @@ def test_a_twisted_plate_at_full_length():
         (lambda: sdf.circle(1).revolve(-1), "offset", "far side of the axis"),
         (lambda: sdf.circle(1).revolve(2, 0), "degrees", "not within a turn"),
         (lambda: sdf.circle(1).revolve(2, 361), "degrees", "not within a turn"),
+        (lambda: sdf.circle(1).coil(2, 0.9, 3), "pitch", "reaches 1 up or down"),
+        (lambda: sdf.circle(1).coil(1, 3, 3), "radius", "reaches the axis"),
+        (lambda: sdf.circle(1).coil(2, 3, 0), "turns", "greater than zero"),
+        (lambda: sdf.circle(1).remap(abs, lipschitz=1).coil(2, 3, 1), "field", "not a profile"),
         (lambda: sdf.circle(1).sweep([(0, 0, 0)]), "points", "two or more"),
         (lambda: sdf.circle(1).sweep([(0, 0, 0), (1, 0)]), "points", "two or more"),
         (lambda: sdf.circle(1).sweep([(0, 0, 0), (0, 0, 0)]), "points", "are equal"),
