@@ -84,8 +84,11 @@ def bounded_profile(body: Body) -> Body:
 
 
 def reach_of(extent: Box) -> float:
-    """The largest distance of a corner of the bounds in x and y from the z axis."""
-    return float(np.hypot(*np.abs(extent[:, :2]).max(axis=0)))
+    """The largest distance of a corner of the bounds in x and y from the z axis.
+
+    1, which is as true, if they are nothing but the axis itself: nothing is divided by 0.
+    """
+    return float(np.hypot(*np.abs(extent[:, :2]).max(axis=0))) or 1.0
 
 
 # --- one section ----------------------------------------------------------------------

@@ -175,6 +175,31 @@ def test_the_bound_of_a_loft_is_close(rng):
     assert math.hypot(1, 0.6) <= solid.lipschitz < math.hypot(1, 0.63)
 
 
+def test_what_is_not_known_of_a_profile_is_not_known_of_its_solid():
+    box = ((-0.5, -0.4, -1), (0.5, 0.4, 1))
+    known = sdf.sphere(0.4).remap(lambda p: p, lipschitz=2, bounds=box).slice(0)
+    steep = sdf.sphere(0.4).remap(lambda p: p, bounds=box, growth=3).slice(0)
+    circle, path = sdf.circle(0.2), [(0, 0, 0), (0, 0, 4), (0, 4, 4)]
+    for profile, lipschitz, growths in (
+        # A confined field has growth 1 about its disc, whatever it was; other solids need its own.
+        (known, True, (None, 1.0, 1.0, None, None)),
+        (steep, False, (3.0, 3 * math.sqrt(2), 3.0, 3.0, 5 * math.sqrt(2))),
+    ):
+        solids = (
+            profile.extrude(1),
+            profile.twist_extrude(1, 90),
+            profile.taper_extrude(1, 0.5),
+            profile.extrude_to(circle, 1),
+            profile.sweep(path),
+        )
+        for solid, growth in zip(solids, growths, strict=True):
+            assert (solid.lipschitz is not None) is lipschitz
+            assert solid.bounds is not None
+            assert solid._body.tags.growth == (growth and pytest.approx(growth))
+    np.testing.assert_allclose(known.taper_extrude(1, 0.5).bounds[1, 0], math.hypot(0.5, 0.4))
+    np.testing.assert_allclose(steep.taper_extrude(1, 0.5).bounds[1, 0], 0.5)
+
+
 @pytest.mark.parametrize(
     ("solid", "exact"),
     [
@@ -339,6 +364,11 @@ def test_a_twisted_plate_at_full_length():
         (lambda: sdf.circle(1).coil(1, 3, 3), "radius", "reaches the axis"),
         (lambda: sdf.circle(1).coil(2, 3, 0), "turns", "greater than zero"),
         (lambda: sdf.circle(1).remap(abs, lipschitz=1).coil(2, 3, 1), "field", "not a profile"),
+        (
+            lambda: sdf.sphere(1).remap(abs, bounds=[[-1] * 3, [1] * 3]).slice(0).coil(2, 3, 1),
+            "field",
+            "nothing is known of its values",
+        ),
         (lambda: sdf.circle(1).sweep([(0, 0, 0)]), "points", "two or more"),
         (lambda: sdf.circle(1).sweep([(0, 0, 0), (1, 0)]), "points", "two or more"),
         (lambda: sdf.circle(1).sweep([(0, 0, 0), (0, 0, 0)]), "points", "are equal"),
