@@ -8,7 +8,8 @@
     shape.bounds, shape.lipschitz, shape.exact
 
 Every field is an expression graph (`fields.expression`) with tags (`fields.tags`).
-Needs numpy and torch; `mesh` imports Open3D when it is called.
+Needs numpy and torch. What needs more imports it when it is called: `mesh` Open3D, `text` and
+`svg` fontTools and Manifold, `image` scikit-image and Pillow, outlines of many edges Numba.
 """
 
 from __future__ import annotations
@@ -34,6 +35,38 @@ from fields.primitives import (
     sphere,
     torus,
 )
+from fields.profiles.curved import (
+    arc,
+    circle,
+    ellipse,
+    line,
+    moon,
+    pie,
+    ring,
+    uneven_capsule,
+    vesica,
+)
+from fields.profiles.curves import spline
+from fields.profiles.drawing import svg
+from fields.profiles.lettering import text
+from fields.profiles.picture import image
+from fields.profiles.straight import (
+    cross,
+    hexagon,
+    octagon,
+    parallelogram,
+    polygon,
+    polyline,
+    rectangle,
+    regular_polygon,
+    rhombus,
+    rounded_rectangle,
+    star,
+    strip,
+    trapezoid,
+    triangle,
+)
+from fields.profiles.turned import lathe
 
 # Each operation is a method of Field and, unbound, a function of fields.
 union = Field.union
@@ -68,6 +101,15 @@ twist = Field.twist
 taper = Field.taper
 shear = Field.shear
 bend = Field.bend
+coil = Field.coil
+extrude = Field.extrude
+extrude_to = Field.extrude_to
+loft = Field.loft
+revolve = Field.revolve
+slice = Field.slice
+sweep = Field.sweep
+taper_extrude = Field.taper_extrude
+twist_extrude = Field.twist_extrude
 
 __all__ = [
     "Field",
@@ -75,52 +117,89 @@ __all__ = [
     "MissingDependency",
     "above",
     "affine",
+    "arc",
     "back_end",
     "behind",
     "below",
     "bend",
     "box",
     "capsule",
+    "circle",
     "circular_array",
+    "coil",
     "cone",
+    "cross",
     "cylinder",
     "difference",
     "displace",
+    "ellipse",
     "elongate",
     "engrave",
+    "extrude",
+    "extrude_to",
     "from_function",
     "front",
     "groove",
+    "hexagon",
     "hollow",
+    "image",
     "intersection",
+    "lathe",
     "left",
+    "line",
     "linear_array",
+    "loft",
     "mesh",
     "mirror",
+    "moon",
     "morph",
     "negate",
+    "octagon",
     "offset",
     "onion",
     "orient",
+    "parallelogram",
     "parse",
+    "pie",
     "pipe",
     "plane",
+    "polygon",
+    "polyline",
+    "rectangle",
+    "regular_polygon",
     "repeat",
+    "revolve",
+    "rhombus",
     "right",
+    "ring",
     "rotate",
     "rounded_box",
+    "rounded_rectangle",
     "scale",
     "shear",
     "shell",
+    "slice",
     "sphere",
+    "spline",
+    "star",
+    "strip",
+    "svg",
+    "sweep",
     "symmetric_difference",
     "symmetry",
     "taper",
+    "taper_extrude",
+    "text",
     "tongue",
     "torus",
     "transition_linear",
     "transition_radial",
     "translate",
+    "trapezoid",
+    "triangle",
     "twist",
+    "twist_extrude",
+    "uneven_capsule",
     "union",
+    "vesica",
 ]

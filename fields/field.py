@@ -18,6 +18,7 @@ from fields.methods.copies import Copies
 from fields.methods.deformations import Deformations
 from fields.methods.evaluation import Evaluation
 from fields.methods.motions import Motions
+from fields.methods.solids import Solids
 from fields.methods.thickness import Thickness
 from fields.notation import Call, History, Opaque
 from fields.operations import Body
@@ -26,7 +27,7 @@ from fields.tags import EVERYWHERE, Tags
 
 
 @final
-class Field(Combinations, Copies, Deformations, Evaluation, Motions, Thickness):
+class Field(Combinations, Copies, Deformations, Evaluation, Motions, Solids, Thickness):
     """A scalar function on R^3 whose zero set is a surface; negative inside.
 
     Immutable. Made by the primitives (`fields.sphere` and so on), combined with `|`

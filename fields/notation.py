@@ -81,11 +81,14 @@ def literal(value: object) -> Literal:
 
 
 def defaults(function: Callable[..., object]) -> dict[str, object]:
-    """The parameters of a function that have default values, with these."""
+    """The parameters of a function that have default values, with these.
+
+    And those that can be given by keyword only, with `Parameter.empty` if they have none.
+    """
     return {
         name: parameter.default
         for name, parameter in signature(function).parameters.items()
-        if parameter.default is not Parameter.empty
+        if parameter.default is not Parameter.empty or parameter.kind is Parameter.KEYWORD_ONLY
     }
 
 
@@ -101,8 +104,8 @@ def recorded(
         name: of the function.
         operands: the fields it was applied to.
         arguments: the other arguments by the names of their parameters, in order.
-        optional: the parameters that have a default value, with it. They are written
-            as keywords, and left out where the argument equals the default.
+        optional: the parameters that are written as keywords, with their default values, as
+            `defaults` gives them. They are left out where the argument equals the default.
     """
     return Call(
         name,
@@ -117,7 +120,7 @@ def recorded(
 
 
 def _is_default(value: object, default: object) -> bool:
-    if value is None or default is None:
+    if value is None or default is None or default is Parameter.empty:
         return value is default
     return literal(value) == literal(default)
 

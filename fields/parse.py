@@ -18,6 +18,9 @@ from fields.mesh import mesh
 from fields.notation import LIMIT
 from fields.operations import RULES
 from fields.primitives import PRIMITIVES
+from fields.profiles.drawing import svg
+from fields.profiles.lettering import text as lettering
+from fields.profiles.picture import image
 
 _OPERATORS: dict[type[ast.operator], Callable[[Field, Field], Field]] = {
     ast.BitOr: Field.__or__,
@@ -46,7 +49,8 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
             with at most 200 parentheses open at once (a limit of Python's own parser) and
             chains of at most some hundreds of steps. Lists may be long: of the arguments
             of a union, say.
-        allow_files: also allow `mesh("path")`, which reads a file.
+        allow_files: also allow `mesh("path")`, `text("abc")`, `svg("path")` and `image("path")`,
+            which read files (of a text, the font).
 
     Raises:
         InputError: the text is not such an expression; the message names the column
@@ -78,6 +82,14 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
     return value
 
 
+_FILE_READERS: dict[str, Callable[..., Field]] = {
+    "mesh": mesh,
+    "text": lettering,
+    "svg": svg,
+    "image": image,
+}
+
+
 class _Reader:
     """Computes the value of a syntax tree, and says where it cannot."""
 
@@ -86,7 +98,7 @@ class _Reader:
         self.indent = len(text) - len(text.lstrip())
         self.constructors: dict[str, Callable[..., Field]] = {**PRIMITIVES, **_METHODS}
         if allow_files:
-            self.constructors["mesh"] = mesh
+            self.constructors.update(_FILE_READERS)
 
     def refuse(self, column: int | None, cause: str, remedy: str | None = None) -> NoReturn:
         where = "" if column is None else f"column {column}: "
@@ -169,7 +181,7 @@ class _Reader:
         self.refuse(self.column(node), f"this kind of expression ({kind}) is not allowed")
 
     def _refuse_name(self, node: ast.expr, name: str) -> NoReturn:
-        if name == "mesh":
+        if name in _FILE_READERS:
             self.refuse(
                 self.column(node),
                 "reading files is not permitted here",

@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fields import arguments, notation
+from fields.distances import box_distance as _box_distance
+from fields.distances import outside_or_faces as _outside_or_faces
 from fields.errors import InputError
 from fields.expression import (
     Coordinates,
@@ -34,7 +36,6 @@ from fields.expression import (
     length,
     maximum,
     minimum,
-    where_negative,
 )
 from fields.field import Field, make_field
 from fields.operations import Body
@@ -73,18 +74,6 @@ def _body(expression: Expression, low: ArrayLike, high: ArrayLike) -> Body:
 def _about(center: ArrayLike) -> tuple[arguments.Vector, Coordinates]:
     x, y, z = arguments.vector("center", center)
     return (x, y, z), (X - x, Y - y, Z - z)
-
-
-def _outside_or_faces(faces: Expression, outside: Expression) -> Expression:
-    """`outside` where some face distance is positive, else the largest face distance."""
-    return where_negative(-faces, outside, faces)
-
-
-def _box_distance(offsets: tuple[Expression, ...]) -> Expression:
-    """The distance to {all offsets <= 0}, for offsets measured along orthogonal axes."""
-    return _outside_or_faces(
-        maximum(*offsets), length(*(maximum(offset, 0.0) for offset in offsets))
-    )
 
 
 # --- solids ---------------------------------------------------------------------------

@@ -27,11 +27,29 @@ ALLOWED = {
 OURS = {*ALLOWED, "tests", "examples"}
 
 FIELDS_LIBRARIES = {"numpy", "torch"}
-FIELDS_ON_USE = {"fields/mesh.py": {"open3d"}, "fields/evaluators/threads.py": {"numba"}}
+FIELDS_ON_USE = {
+    "fields/evaluators/threads.py": {"numba"},
+    "fields/mesh.py": {"open3d"},
+    "fields/profiles/drawing.py": {"fontTools"},
+    "fields/profiles/filling.py": {"manifold3d"},
+    "fields/profiles/lettering.py": {"fontTools"},
+    "fields/profiles/pens.py": {"fontTools"},
+    "fields/profiles/picture.py": {"PIL", "skimage"},
+}
 # Compiled kernels: these modules import numba, and are themselves imported on use.
-FIELDS_KERNELS = {"fields/jit.py"}
+FIELDS_KERNELS = {"fields/jit.py", "fields/profiles/outline_kernel.py"}
 
-HEAVY = ("open3d", "pymeshlab", "trimesh", "skimage", "manifold3d", "tyro", "rich", "PIL")
+HEAVY = (
+    "open3d",
+    "pymeshlab",
+    "trimesh",
+    "skimage",
+    "manifold3d",
+    "tyro",
+    "rich",
+    "PIL",
+    "fontTools",
+)
 
 
 @dataclass(frozen=True)

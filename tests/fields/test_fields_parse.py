@@ -150,6 +150,9 @@ ATTACKS = [
     "sphere(1)\0",
     "mesh('part.stl')",
     "mesh(source='part.stl')",
+    "text('abc')",
+    "svg('drawing.svg')",
+    "image('picture.png')",
     "await sphere(1)",
     "yield sphere(1)",
 ]
