@@ -1,0 +1,134 @@
+"""The tree of triangles against plain loops over all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fields.triangle_tree import TriangleTree
+
+
+def closest_on_triangles(points, corners):
+    """Nearest points of n triangles to n points, and what they lie on; vectorised, and written
+    differently from the kernel: the best of three edges and of the foot of the perpendicular."""
+    best, feature = np.empty_like(points), np.zeros(len(points), dtype=np.int64)
+    least = np.full(len(points), np.inf)
+    for k in range(3):
+        start, end = corners[:, k], corners[:, (k + 1) % 3]
+        edge = end - start
+        squared = np.einsum("ij,ij->i", edge, edge)
+        along = np.einsum("ij,ij->i", points - start, edge)
+        t = np.clip(along / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
+        candidate = np.where(t[:, None] < 1, start + t[:, None] * edge, end)
+        distance = np.linalg.norm(points - candidate, axis=1)
+        nearer = distance < least
+        best[nearer], least[nearer] = candidate[nearer], distance[nearer]
+        on = np.where(t <= 0, 4 + k, np.where(t >= 1, 4 + (k + 1) % 3, 1 + k))
+        feature[nearer] = on[nearer]
+    origin = corners[:, 0]
+    first, second = corners[:, 1] - origin, corners[:, 2] - origin
+    cross = np.cross(first, second)
+    area = np.einsum("ij,ij->i", cross, cross)
+    scale = np.where(area > 0, area, np.inf)
+    v = np.einsum("ij,ij->i", np.cross(points - origin, second), cross) / scale
+    w = np.einsum("ij,ij->i", np.cross(first, points - origin), cross) / scale
+    foot = origin + v[:, None] * first + w[:, None] * second
+    inside = (v > 0) & (w > 0) & (v + w < 1)
+    inside &= np.linalg.norm(points - foot, axis=1) < least
+    best[inside], feature[inside] = foot[inside], 0
+    return best, feature
+
+
+def solid_angles(points, corners):
+    """The sum over all triangles, over 4 pi (van Oosterom and Strackee 1983)."""
+    total = np.zeros(len(points))
+    for triangle in corners:
+        a, b, c = (corner - points for corner in triangle)
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
+        denominator = (
+            la * lb * lc
+            + np.einsum("ij,ij->i", a, b) * lc
+            + np.einsum("ij,ij->i", b, c) * la
+            + np.einsum("ij,ij->i", c, a) * lb
+        )
+        total += 2 * np.arctan2(numerator, denominator)
+    return total / (4 * np.pi)
+
+
+def _soup(rng, kind):
+    """Triangles of one kind, `(f, 3, 3)`."""
+    corners = rng.normal(size=(300, 3, 3))
+    if kind == "small":
+        corners = rng.uniform(-1, 1, (300, 1, 3)) + 0.1 * corners
+    elif kind == "needles":
+        corners[:, 2] = corners[:, 0] + rng.uniform(0, 1, (300, 1)) * (
+            corners[:, 1] - corners[:, 0]
+        )
+        corners[:100, 2] += 1e-9 * rng.normal(size=(100, 3))
+    elif kind == "points":
+        corners = np.repeat(corners[:, :1], 3, axis=1)
+    elif kind == "all the same":
+        corners[:] = corners[0]
+    elif kind == "one":
+        corners = corners[:1]
+    return corners
+
+
+@pytest.mark.parametrize("kind", ["large", "small", "needles", "points", "all the same", "one"])
+def test_the_nearest_point_is_the_nearest_of_all(kind, rng):
+    corners = _soup(rng, kind)
+    on_corners = corners[rng.integers(0, len(corners), 20), 1]
+    points = np.concatenate([rng.uniform(-2, 2, (180, 3)), on_corners])
+    triangle, feature, foot = TriangleTree(corners).nearest(points)
+    repeated = np.repeat(points, len(corners), axis=0)
+    candidates, _ = closest_on_triangles(repeated, np.tile(corners, (len(points), 1, 1)))
+    distances = np.linalg.norm(repeated - candidates, axis=1).reshape(len(points), -1)
+    found = np.linalg.norm(points - foot, axis=1)
+    # Both round sums of products of coordinates below 5.
+    np.testing.assert_allclose(found, distances.min(axis=1), atol=1e-14)
+    again, again_feature = closest_on_triangles(points, corners[triangle])
+    np.testing.assert_allclose(foot, again, atol=1e-14)
+    if kind in ("large", "small"):
+        np.testing.assert_array_equal(feature, again_feature)
+
+
+def test_nothing_is_found_beyond_the_limit(rng):
+    tree = TriangleTree(_soup(rng, "small"))
+    points = rng.uniform(-2, 2, (500, 3))
+    everything = tree.nearest(points)
+    distance = np.linalg.norm(points - everything.point, axis=1)
+    near = tree.nearest(points, limit=0.3)
+    np.testing.assert_array_equal(near.triangle >= 0, distance < 0.3)
+    np.testing.assert_array_equal(near.point[distance < 0.3], everything.point[distance < 0.3])
+    assert np.isnan(near.point[distance >= 0.3]).all()
+
+
+@pytest.mark.parametrize("kind", ["large", "small", "needles", "points"])
+def test_the_winding_number_is_the_sum_of_solid_angles(kind, rng):
+    corners = _soup(rng, kind)
+    points = rng.uniform(-2, 2, (500, 3))
+    # The worst sum for the expansion: triangles at random, whose dipoles do not cancel. Its
+    # remainder is of third order in radius / distance = 1/2, summed over a few clusters.
+    expected = solid_angles(points, corners)
+    np.testing.assert_allclose(
+        TriangleTree(corners).winding_number(points), expected, atol=0.02 * len(corners) ** 0.5
+    )
+
+
+def test_the_expansion_is_of_second_order(rng):
+    """Seen from twice as far, the relative error of one cluster falls by 2**3 or more."""
+    from fields.kernels.winding_number import _expansion, moments
+
+    corners = np.ascontiguousarray(0.5 * _soup(rng, "large")[:3])
+    tree = TriangleTree(np.concatenate([corners, corners + 9.0]))
+    cluster = moments(tree._corners, tree._links)[0, 0]
+    directions = rng.normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    members = tree._corners[np.abs(tree._corners).max(axis=(1, 2)) < 5]
+    errors = []
+    for distance in (8.0, 16.0, 32.0):
+        points = cluster[:3] - distance * directions
+        found = [_expansion.py_func(cluster, *(cluster[:3] - point)) for point in points]
+        errors.append(np.abs(found - solid_angles(points, members)).max() * distance**2)
+    assert errors[0] > 7 * errors[1] > 49 * errors[2]
