@@ -8,14 +8,18 @@
     shape.bounds, shape.lipschitz, shape.exact
 
 Every field is an expression graph (`fields.expression`) with tags (`fields.tags`).
-Needs numpy and torch; `mesh` imports Open3D when it is called.
+Needs numpy and torch; meshes and grids import Numba when they are made, and libraries for files
+when they are read.
 """
 
 from __future__ import annotations
 
 from fields.errors import InputError, MissingDependency
 from fields.field import Field, from_function
+from fields.grid import grid
+from fields.grid_files import load_grid, save_grid
 from fields.mesh import mesh
+from fields.occupancy import from_occupancy
 from fields.parse import parse
 from fields.primitives import (
     above,
@@ -59,9 +63,12 @@ __all__ = [
     "cylinder",
     "difference",
     "from_function",
+    "from_occupancy",
     "front",
+    "grid",
     "intersection",
     "left",
+    "load_grid",
     "mesh",
     "negate",
     "offset",
@@ -71,6 +78,7 @@ __all__ = [
     "right",
     "rotate",
     "rounded_box",
+    "save_grid",
     "scale",
     "shell",
     "sphere",

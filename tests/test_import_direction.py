@@ -27,10 +27,16 @@ ALLOWED = {
 OURS = {*ALLOWED, "tests", "examples"}
 
 FIELDS_LIBRARIES = {"numpy", "torch"}
-FIELDS_ON_USE = {"fields/mesh_files.py": {"trimesh"}}
+FIELDS_ON_USE = {
+    "fields/grid_files.py": {"nrrd"},
+    "fields/mesh_files.py": {"trimesh"},
+    "fields/spline.py": {"scipy"},
+}
 # Compiled kernels: these modules import numba, and are themselves imported on use.
 FIELDS_KERNELS = {
     "fields/jit.py",
+    "fields/kernels/distance_transform.py",
+    "fields/kernels/interpolation.py",
     "fields/kernels/triangle_tree.py",
     "fields/kernels/winding_number.py",
 }
