@@ -133,9 +133,9 @@ class GridOracle:
         slack = 1e-9 + 1e-15 * np.abs(boxes / self.spacing)
         first = np.clip(np.floor(place[:, 0] - slack[:, 0]), 0, cells - 1).astype(np.int64)
         last = np.clip(np.floor(place[:, 1] + slack[:, 1]), 0, cells - 1).astype(np.int64)
-        widest = (last - first).max(axis=1)
-        # 2**level cells a block, so that a range of cells meets at most _WIDE blocks.
-        level = np.ceil(np.log2((widest + 1) / (_WIDE - 1))).clip(0).astype(np.int64)
+        widest = (last - first).max(axis=1).clip(1)
+        # m cells in a row meet at most (m - 2) // b + 2 blocks of b = 2**level, here <= _WIDE.
+        level = np.ceil(np.log2(widest / (_WIDE - 1))).clip(0).astype(np.int64)
         bounds = np.empty((len(boxes), 1, 2))
         for number in np.unique(level):
             rows = level == number
