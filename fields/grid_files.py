@@ -19,12 +19,10 @@ from fields.errors import InputError, MissingDependency
 from fields.field import Field, make_field
 from fields.grid import Interpolation, Outside, grid, grid_field
 from fields.grid_oracle import GridOracle
-from fields.grid_samples import DamagedFile, Samples
+from fields.grid_samples import DamagedFile, Samples, sampled
 from fields.notation import recorded
 from fields.vti import read_vti, write_vti
 from fields.whole_files import atomic_write, refuse_target
-
-_BLOCK = 1 << 18
 
 _REMEDY = "check that the file is complete, or write it again"
 
@@ -117,28 +115,6 @@ def save_grid(
         samples = sampled(field, spacing, bounds)
     with atomic_write(file) as temporary:
         writer(temporary, samples)
-
-
-def sampled(field: Field, spacing: float | ArrayLike | None, bounds: ArrayLike | None) -> Samples:
-    """A field's values on a grid, in float64; arguments as for `save_grid`."""
-    if spacing is None:
-        raise InputError("spacing", spacing, "the field is no grid", "pass the step of the grid")
-    step = np.array(arguments.numbers_or_one("spacing", spacing))
-    if bounds is None and field.bounds is None:
-        raise InputError(
-            "bounds", None, "the field is unbounded, or its bounds are unknown", "pass bounds"
-        )
-    box = field.bounds if bounds is None else arguments.box_bounds("bounds", bounds)
-    margin = 2 * step if bounds is None else 0 * step
-    low, high = box[0] - margin, box[1] + margin
-    counts = np.maximum(np.ceil((high - low) / step - 1e-9).astype(int), 1) + 1
-    axes = [a + s * np.arange(n) for a, s, n in zip(low, step, counts, strict=True)]
-    values = np.empty(counts)
-    planes = max(1, _BLOCK // int(counts[1] * counts[2]))
-    for begin in range(0, counts[0], planes):
-        lattice = np.meshgrid(axes[0][begin : begin + planes], *axes[1:], indexing="ij")
-        values[begin : begin + planes] = field(np.stack(lattice, axis=-1))
-    return Samples(values, low, np.diag(step))
 
 
 def _own_samples(field: Field) -> Samples | None:

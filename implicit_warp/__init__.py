@@ -35,6 +35,7 @@ _HOME = {
     "MissingDependency": "errors",
     "NotInjective": "errors",
     "PushForwardReport": "push_forward",
+    "RedistanceReport": "distance_grid",
     "SolveReport": "elastic_solve",
     "Taper": "axial",
     "TutteNet": "tuttenet",
@@ -52,6 +53,8 @@ _HOME = {
     "load": "files",
     "load_handles": "handles",
     "move": "handles",
+    "redistance": "distance_grid",
+    "redistance_report": "distance_grid",
     "rigid_motion": "affine",
     "save": "files",
     "save_handles": "handles",
@@ -67,6 +70,7 @@ if TYPE_CHECKING:
     from implicit_warp.certificate import Certificate, certify
     from implicit_warp.checking import BadMesh, CheckReport, check
     from implicit_warp.deformation import deform
+    from implicit_warp.distance_grid import RedistanceReport, redistance, redistance_report
     from implicit_warp.elastic_solve import ElasticOptions, SolveReport, elastic
     from implicit_warp.energy import elastic_energy
     from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
