@@ -36,6 +36,7 @@ _HOME = {
     "NotInjective": "errors",
     "PushForwardReport": "push_forward",
     "RedistanceReport": "distance_grid",
+    "Slice": "slices",
     "SolveReport": "elastic_solve",
     "Taper": "axial",
     "TutteNet": "tuttenet",
@@ -44,6 +45,7 @@ _HOME = {
     "back_end": "evaluate",
     "certify": "certificate",
     "check": "checking",
+    "contours": "slices",
     "deform": "deformation",
     "deform_mesh": "push_forward",
     "elastic": "elastic_solve",
@@ -57,8 +59,11 @@ _HOME = {
     "redistance_report": "distance_grid",
     "rigid_motion": "affine",
     "save": "files",
+    "save_contours": "slices",
     "save_handles": "handles",
     "set_threads": "threads",
+    "slice_plot": "slice_picture",
+    "slice_values": "slices",
 }
 
 __all__ = [*sorted(_HOME), "__version__"]
@@ -80,6 +85,8 @@ if TYPE_CHECKING:
     from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
     from implicit_warp.maps import Composition, Map
     from implicit_warp.push_forward import PushForwardReport, deform_mesh
+    from implicit_warp.slice_picture import slice_plot
+    from implicit_warp.slices import Slice, contours, save_contours, slice_values
     from implicit_warp.threads import set_threads
     from implicit_warp.tuttenet import TutteNet
     from implicit_warp.warp import Warp
