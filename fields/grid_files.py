@@ -242,6 +242,9 @@ _FORMATS: dict[str, _Format] = {
     ".vti": (read_vti, write_vti),
 }
 
+VOLUMES = tuple(_FORMATS)
+"""Suffixes of files that hold a grid."""
+
 
 def _format(file: Path) -> _Format:
     suffix = file.suffix.lower()

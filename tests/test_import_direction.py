@@ -41,7 +41,10 @@ FIELDS_KERNELS = {
     "fields/kernels/winding_number.py",
 }
 
-HEAVY = ("open3d", "pymeshlab", "trimesh", "skimage", "manifold3d", "tyro", "rich", "PIL")
+HEAVY = (
+    *("open3d", "pymeshlab", "trimesh", "skimage", "manifold3d", "tyro", "rich", "PIL"),
+    *("matplotlib", "nrrd"),
+)
 
 
 @dataclass(frozen=True)

@@ -336,3 +336,10 @@ def test_the_command_refuses(options, complaint, part, monkeypatch, capsys):
     monkeypatch.chdir(part)
     assert main(["slice", "part.py", *options]) == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_the_command_takes_a_volume(tmp_path):
+    sdf.save_grid(RING, tmp_path / "ring.npz", spacing=0.05)
+    assert main(["slice", f"{tmp_path}/ring.npz", "-o", f"{tmp_path}/s.svg"]) == 0
+    drawn = ElementTree.parse(tmp_path / "s.svg").find(".//{*}path").get("d")
+    assert drawn.count("Z") == 2
