@@ -193,7 +193,7 @@ def _empty_figure(figure_class: Any, section: Slice, panels: int) -> Figure:
     width, height = np.ptp(section.right), np.ptp(section.up)
     scale = _PANEL / max(width, height)
     size = (panels * (scale * width + 0.45) + 1.35, scale * height + 0.95)
-    return figure_class(figsize=size, layout="constrained", facecolor="white")
+    return figure_class(figsize=size, layout="compressed", facecolor="white")
 
 
 def _draw(ax: Axes, section: Slice, lines: NDArray[np.float64], norm: Any, colour_map: Any) -> Any:

@@ -11,6 +11,7 @@ import torch
 import fields as sdf
 from fields import InputError, MissingDependency
 from fields.closed_mesh import closed_mesh
+from tests.fields.plain_triangles import solid_angles
 
 trimesh = pytest.importorskip("trimesh", reason="builds the meshes of these tests")
 
@@ -36,29 +37,12 @@ def _brute_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     return best
 
 
-def _winding_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """The solid angle of all faces over 4 pi (van Oosterom and Strackee 1983)."""
-    total = np.zeros(len(points))
-    for triangle in mesh.triangles:
-        a, b, c = (corner - points for corner in triangle)
-        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-        numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
-        denominator = (
-            la * lb * lc
-            + np.einsum("ij,ij->i", a, b) * lc
-            + np.einsum("ij,ij->i", b, c) * la
-            + np.einsum("ij,ij->i", c, a) * lb
-        )
-        total += 2 * np.arctan2(numerator, denominator)
-    return total / (4 * np.pi)
-
-
 @pytest.mark.parametrize("solid", [ICOSPHERE, CUBE, RING], ids=["icosphere", "cube", "ring"])
 def test_values_are_the_signed_distance(solid, rng):
     points = rng.uniform(-1.5, 1.5, (400, 3))
     values = sdf.mesh(solid)(points)
     np.testing.assert_allclose(np.abs(values), _brute_distance(solid, points), atol=1e-12)
-    np.testing.assert_array_equal(values < 0, _winding_number(solid, points) > 0.5)
+    np.testing.assert_array_equal(values < 0, solid_angles(points, solid.triangles) > 0.5)
 
 
 def test_a_box_mesh_equals_the_box_field_on_a_lattice(rng):
@@ -141,7 +125,7 @@ def test_parts_may_touch_in_a_vertex_and_hold_cavities(rng):
     pinched = trimesh.Trimesh(corners, faces, process=False)
     points = rng.uniform(-1.5, 1.5, (2_000, 3))
     values = sdf.mesh(pinched)(points)
-    np.testing.assert_array_equal(values < 0, _winding_number(pinched, points) > 0.5)
+    np.testing.assert_array_equal(values < 0, solid_angles(points, pinched.triangles) > 0.5)
     beside = [[0.3, 0.0, 0.0], [-0.3, 0.1, 0.0], [0, 0, 0]]
     assert (sdf.mesh(pinched)(beside) >= 0).all()
 
