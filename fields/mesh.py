@@ -18,7 +18,7 @@ from fields.expression import X, Y, Z, call
 from fields.field import Field, make_field
 from fields.imperfect_mesh import TriangleSoup, triangle_soup
 from fields.mesh_files import merged, read_triangles
-from fields.notation import Call, History, Opaque, recorded
+from fields.notation import History, Opaque, recorded
 from fields.operations import Body
 from fields.oracle import Boxes, enclose_by_lipschitz
 from fields.triangle_tree import Floats, Integers, TriangleTree
@@ -95,7 +95,8 @@ def mesh(
             known = ", ".join(repr(choice) for choice in _CHOICES[argument])
             raise InputError(argument, value, "there is no such choice", f"use one of {known}")
     history: History
-    if isinstance(source, str | os.PathLike):
+    is_file = isinstance(source, str | os.PathLike)
+    if is_file:
         vertices, faces = read_triangles(Path(source))
         given = {"source": source, "sign": sign, "imperfect": imperfect}
         history = recorded("mesh", (), given, {"sign": "auto", "imperfect": "error"})
@@ -109,7 +110,7 @@ def mesh(
             "it is neither a mesh nor a path",
             "pass an object with vertices and faces, or the path of a file",
         )
-    surface = _surface(vertices, faces, sign, imperfect, may_merge=isinstance(history, Call))
+    surface = _surface(vertices, faces, sign, imperfect, may_merge=is_file)
     (value,) = call(MeshOracle(surface), (X, Y, Z))
     return make_field(Body(value, surface.tags), history)
 

@@ -78,9 +78,9 @@ def _along_a_curve(points: Floats) -> Integers:
         return np.arange(len(points))
     low, high = points.min(axis=0), points.max(axis=0)
     step = np.where(high > low, high - low, 1.0) / 1023
+    cells = np.nan_to_num((points - low) / step).clip(0, 1023).astype(np.int64)
     code = np.zeros(len(points), dtype=np.int64)
-    for axis in range(3):
-        cell = ((points[:, axis] - low[axis]) / step[axis]).astype(np.int64)
+    for axis, cell in enumerate(cells.T):
         # Two zeros between every two of ten bits, by halves.
         for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
             cell = (cell | cell << shift) & mask

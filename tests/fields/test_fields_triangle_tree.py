@@ -85,3 +85,15 @@ def test_the_expansion_is_of_second_order(rng):
         found = [_expansion.py_func(cluster, *(cluster[:3] - point)) for point in points]
         errors.append(np.abs(found - solid_angles(points, members)).max() * distance**2)
     assert errors[0] > 7 * errors[1] > 49 * errors[2]
+
+
+def test_a_point_that_is_none_harms_no_other(rng):
+    tree = TriangleTree(_soup(rng, "small"))
+    points = rng.uniform(-2, 2, (100, 3))
+    expected = tree.nearest(points).point
+    points[[3, 50]] = np.nan
+    found = tree.nearest(points)
+    assert (found.triangle[[3, 50]] == -1).all()
+    assert np.isnan(found.point[[3, 50]]).all()
+    others = np.delete(np.arange(100), [3, 50])
+    np.testing.assert_array_equal(found.point[others], expected[others])
