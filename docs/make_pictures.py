@@ -42,7 +42,7 @@ def _section(folder: Path, picture: Path) -> int:
     demo = EXAMPLES / "demo"
     code = runpy.run_path(str(demo / "run.py"))["run"](folder, "--resolution", "64")
     arguments = ["slice", f"{demo}/part.py", "-o", str(picture), "--plane", "y=0"]
-    arguments += ["--warp", f"{folder}/part.safetensors", "--handles", f"{demo}/handles.toml"]
+    arguments += ["--warp", f"{folder}/warp.safetensors", "--handles", f"{demo}/handles.toml"]
     return code or main(arguments)
 
 
