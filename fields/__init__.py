@@ -10,6 +10,8 @@
 Every field is an expression graph (`fields.expression`) with tags (`fields.tags`).
 Needs numpy and torch. What needs more imports it when it is called: `mesh` Open3D, `text` and
 `svg` fontTools and Manifold, `image` scikit-image and Pillow, outlines of many edges Numba.
+Needs numpy and torch; meshes and grids import Numba when they are made, and libraries for files
+when they are read.
 """
 
 from __future__ import annotations
@@ -17,7 +19,10 @@ from __future__ import annotations
 from fields.errors import InputError, MissingDependency
 from fields.evaluators.choice import back_end
 from fields.field import Field, from_function
+from fields.grid import grid
+from fields.grid_files import load_grid, save_grid
 from fields.mesh import mesh
+from fields.occupancy import from_occupancy
 from fields.parse import parse
 from fields.primitives import (
     above,
@@ -138,7 +143,9 @@ __all__ = [
     "extrude",
     "extrude_to",
     "from_function",
+    "from_occupancy",
     "front",
+    "grid",
     "groove",
     "hexagon",
     "hollow",
@@ -148,6 +155,7 @@ __all__ = [
     "left",
     "line",
     "linear_array",
+    "load_grid",
     "loft",
     "mesh",
     "mirror",
@@ -175,6 +183,7 @@ __all__ = [
     "rotate",
     "rounded_box",
     "rounded_rectangle",
+    "save_grid",
     "scale",
     "shear",
     "shell",

@@ -24,11 +24,13 @@ from implicit_warp.commands.common import BAD_INPUT, DEFECT, INTERRUPTED
 from implicit_warp.commands.deform import Deform
 from implicit_warp.commands.extract import Extract
 from implicit_warp.commands.info import Info
+from implicit_warp.commands.slice import Slice
 from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
 
 COMMANDS = {
     "deform": Deform,
     "extract": Extract,
+    "slice": Slice,
     "apply": Apply,
     "check": Check,
     "info": Info,
