@@ -52,6 +52,17 @@ def not_negative(argument: str, value: object) -> float:
     return result
 
 
+def whole(argument: str, value: object, least: int, most: int) -> int:
+    """A whole number from `least` to `most`; booleans and floats are refused."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise InputError(
+            argument, value, "a whole number is needed", f"pass one from {least} to {most}"
+        )
+    if not least <= value <= most:
+        raise InputError(argument, value, "it is out of range", f"pass {least} to {most}")
+    return int(value)
+
+
 def vector(argument: str, value: object) -> Vector:
     """Three finite numbers."""
     items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
