@@ -8,14 +8,20 @@
     shape.bounds, shape.lipschitz, shape.exact
 
 Every field is an expression graph (`fields.expression`) with tags (`fields.tags`).
-Needs numpy and torch; `mesh` imports Open3D when it is called.
+Needs numpy and torch; `mesh` imports Open3D when it is called, networks import Numba and
+safetensors when they are.
 """
 
 from __future__ import annotations
 
-from fields.errors import InputError, MissingDependency
+from fields.errors import FileFormatError, InputError, MissingDependency
 from fields.field import Field, from_function
 from fields.mesh import mesh
+from fields.neural.architecture import HashGrid, Siren
+from fields.neural.family import Family, FamilyReport, fit_family
+from fields.neural.fit import NeuralReport, fit_neural
+from fields.neural.options import NeuralOptions
+from fields.neural.storing import load_neural, save_neural
 from fields.parse import parse
 from fields.primitives import (
     above,
@@ -47,9 +53,16 @@ offset = Field.offset
 shell = Field.shell
 
 __all__ = [
+    "Family",
+    "FamilyReport",
     "Field",
+    "FileFormatError",
+    "HashGrid",
     "InputError",
     "MissingDependency",
+    "NeuralOptions",
+    "NeuralReport",
+    "Siren",
     "above",
     "behind",
     "below",
@@ -58,10 +71,13 @@ __all__ = [
     "cone",
     "cylinder",
     "difference",
+    "fit_family",
+    "fit_neural",
     "from_function",
     "front",
     "intersection",
     "left",
+    "load_neural",
     "mesh",
     "negate",
     "offset",
@@ -71,6 +87,7 @@ __all__ = [
     "right",
     "rotate",
     "rounded_box",
+    "save_neural",
     "scale",
     "shell",
     "sphere",

@@ -15,6 +15,7 @@ from typing import NoReturn
 from fields.errors import InputError
 from fields.field import Field
 from fields.mesh import mesh
+from fields.neural.storing import load_neural
 from fields.operations import RULES
 from fields.primitives import PRIMITIVES
 
@@ -26,6 +27,9 @@ _OPERATORS: dict[type[ast.operator], Callable[[Field, Field], Field]] = {
     ast.BitAnd: Field.__and__,
     ast.Sub: Field.__sub__,
 }
+
+_FILES: dict[str, Callable[..., Field]] = {"load_neural": load_neural, "mesh": mesh}
+"""Constructors that read a file, for texts that may."""
 
 _METHODS: dict[str, Callable[..., Field]] = {name: getattr(Field, name) for name in RULES}
 
@@ -45,7 +49,7 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
         text: one expression of at most 100,000 characters, with at most 200 parentheses
             open at once (a limit of Python's own parser) and chains of at most some
             hundreds of steps.
-        allow_files: also allow `mesh("path")`, which reads a file.
+        allow_files: also allow `mesh("path")` and `load_neural("path")`, which read a file.
 
     Raises:
         InputError: the text is not such an expression; the message names the column
@@ -85,7 +89,7 @@ class _Reader:
         self.indent = len(text) - len(text.lstrip())
         self.constructors: dict[str, Callable[..., Field]] = {**PRIMITIVES, **_METHODS}
         if allow_files:
-            self.constructors["mesh"] = mesh
+            self.constructors |= _FILES
 
     def refuse(self, column: int | None, cause: str, remedy: str | None = None) -> NoReturn:
         where = "" if column is None else f"column {column}: "
@@ -163,7 +167,7 @@ class _Reader:
         self.refuse(self.column(node), f"this kind of expression ({kind}) is not allowed")
 
     def _refuse_name(self, node: ast.expr, name: str) -> NoReturn:
-        if name == "mesh":
+        if name in _FILES:
             self.refuse(
                 self.column(node),
                 "reading files is not permitted here",

@@ -27,9 +27,16 @@ ALLOWED = {
 OURS = {*ALLOWED, "tests", "examples"}
 
 FIELDS_LIBRARIES = {"numpy", "torch"}
-FIELDS_ON_USE = {"fields/mesh.py": {"open3d"}}
+FIELDS_ON_USE = {
+    "fields/mesh.py": {"open3d"},
+    "fields/neural/files.py": {"safetensors"},
+}
 # Compiled kernels: these modules import numba, and are themselves imported on use.
-FIELDS_KERNELS = {"fields/jit.py"}
+FIELDS_KERNELS = {
+    "fields/jit.py",
+    "fields/neural/enclosure_kernels.py",
+    "fields/neural/hash_kernels.py",
+}
 
 HEAVY = ("open3d", "pymeshlab", "trimesh", "skimage", "manifold3d", "tyro", "rich", "PIL")
 

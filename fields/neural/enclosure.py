@@ -1,18 +1,19 @@
 """Rigorous bounds of a network's values on boxes.
 
-Every hidden number is enclosed twice as the layers are passed: in an interval, and in an affine form
+Every hidden number is enclosed twice as the layers are passed: in an interval, and in an affine
+form
 
     mid + slope . (x - c)  +- rad       for x in the box with centre c,
 
-which remembers how the number depends on the point, so that what two terms have in common cancels in
-their difference. The interval taken is what both allow. (Affine arithmetic for neural shapes: Sharp
-and Jacobson, "Spelunking the Deep", ACM ToG 2022.) A sine or ReLU is replaced on its interval by the
-line through its ends, with the exact largest deviations from it. Features of the hash grids are
-multilinear in each cell, so that their deviations from a line are largest at the box's corners and
-where it meets grid planes: all of these are visited.
+which remembers how the number depends on the point, so that what two terms have in common cancels
+in their difference. The interval taken is what both allow. (Affine arithmetic for neural shapes:
+Sharp and Jacobson, "Spelunking the Deep", ACM ToG 2022.) A sine or ReLU is replaced on its interval
+by the line through its ends, with the exact largest deviations from it. Features of the hash grids
+are multilinear in each cell, so that their deviations from a line are largest at the box's corners
+and where it meets grid planes: all of these are visited.
 
-Guarantee: the bounds hold for exact arithmetic and for evaluation in float64 or float32; rounding is
-allowed for, layer by layer, as in Higham, "Accuracy and Stability of Numerical Algorithms", ch. 3.
+Guarantee: the bounds hold for exact arithmetic and for evaluation in float64 or float32; rounding
+is allowed for, layer by layer, as in Higham, "Accuracy and Stability of Numerical Algorithms", ch. 3.
 
 Non-guarantee: they are not tight. The overestimate shrinks with the square of the box's size once
 the network is nearly linear on it, and on large boxes bounds may say nothing.
@@ -128,10 +129,10 @@ def _encoded(network: Network, low: Tensor, high: Tensor) -> Affine:
 def _linear(
     form: Affine, interval: Interval, half: Tensor, weight: Tensor, bias: Tensor
 ) -> tuple[Affine, Interval]:
-    """W z + b, with (m + 2) roundings of the sum of absolute values for sums of m terms."""
+    """W z + b, with (m + 3) roundings of the sum of absolute values, for m terms."""
     size = torch.maximum(interval.low.abs(), interval.high.abs())
     absolute = weight.abs()
-    rounding = (weight.shape[1] + 2) * ROUNDING * (size @ absolute.T + bias.abs())
+    rounding = (weight.shape[1] + 3) * ROUNDING * (size @ absolute.T + bias.abs())
     result = Affine(
         form.mid @ weight.T + bias,
         form.slope @ weight.T,

@@ -1,9 +1,9 @@
 """Rigorous bounds of a network's gradient on boxes, and from them a Lipschitz bound.
 
-Forward differentiation in interval arithmetic, on the intervals that `fields.neural.enclosure` finds
-for the sums of each layer. Guarantees as there; partial derivatives are bounded wherever they exist,
-which for hash grids and ReLUs is almost everywhere. Over a region, the largest norm of the gradient
-is then a Lipschitz bound.
+Forward differentiation in interval arithmetic, on the intervals that `fields.neural.enclosure`
+finds for the sums of each layer. Guarantees as there; partial derivatives are bounded wherever they
+exist, which for hash grids and ReLUs is almost everywhere. Over a region, the largest norm of the
+gradient is then a Lipschitz bound.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def _derivative(network: Network, interval: Interval) -> Interval:
     return Interval(frequency * image.low, frequency * image.high)
 
 
-def lipschitz_bound(network: Network, boxes: int = 1 << 15) -> float:
+def lipschitz_bound(network: Network, boxes: int) -> float:
     """A rigorous bound on the norm of the network's gradient over [-1, 1]^3.
 
     The cube is cut into boxes, those with the largest bounds again and again, until so many boxes

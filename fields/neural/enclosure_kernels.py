@@ -1,9 +1,9 @@
 """Compiled loops: the features of hash grids on boxes (see `fields.neural.enclosure`).
 
-A feature is multilinear in each cell. So on a box, it and its deviation from any linear function are
-extreme at the box's corners or where its edges, faces or inside meet grid planes, grid lines or grid
-vertices: on each axis the two ends and the planes between are visited, in all combinations. That
-costs as much as there are grid vertices in the box, and 8 visits at least.
+A feature is multilinear in each cell. So on a box, it and its deviation from any linear function
+are extreme at the box's corners or where its edges, faces or inside meet grid planes, grid lines or
+grid vertices: on each axis the two ends and the planes between are visited, in all combinations.
+That costs as much as there are grid vertices in the box, and 8 visits at least.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The multi-resolution hash encoding: features of points, differentiable twice.
 
 Two implementations with one meaning. `encode_in_torch` is plain indexing, for any device and any
-number of derivatives; `encode` takes compiled loops where it can, which is on the CPU in float32 and
-float64, for values and two derivatives by the points, the table or one of each.
+number of derivatives; `encode` takes compiled loops where it can, which is on the CPU in float32
+and float64, for values and two derivatives by the points, the table or one of each.
 
 Features are continuous, and multilinear in each cell. Their gradient by the points jumps from cell
 to cell; second derivatives exist inside cells, and there are those of the trilinear formula (mixed
@@ -190,9 +190,7 @@ class _Slope(torch.autograd.Function):
     """The gradient of the features by the points."""
 
     @staticmethod
-    def forward(
-        ctx: Any, points: Tensor, table: Tensor, upstream: Tensor, grids: Grids
-    ) -> Tensor:
+    def forward(ctx: Any, points: Tensor, table: Tensor, upstream: Tensor, grids: Grids) -> Tensor:
         ctx.save_for_backward(points, table, upstream)
         ctx.grids = grids
         return _sloped(points, table, upstream, grids)

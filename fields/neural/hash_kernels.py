@@ -87,7 +87,12 @@ def _weights_along(x, y, z, one, resolution, direction):
     u, v, w = one - x, one - y, one - z
     near, right, far, far_right = u * v, x * v, u * y, x * y
     # The derivatives of the four products just named.
-    d_near, d_right, d_far, d_far_right = -a * v - u * b, a * v - x * b, u * b - a * y, a * y + x * b
+    d_near, d_right, d_far, d_far_right = (
+        -a * v - u * b,
+        a * v - x * b,
+        u * b - a * y,
+        a * y + x * b,
+    )
     return (
         d_near * w - near * c,
         d_right * w - right * c,
