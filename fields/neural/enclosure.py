@@ -13,7 +13,7 @@ are multilinear in each cell, so that their deviations from a line are largest a
 and where it meets grid planes: all of these are visited.
 
 Guarantee: the bounds hold for exact arithmetic and for evaluation in float64 or float32; rounding
-is allowed for, layer by layer, as in Higham, "Accuracy and Stability of Numerical Algorithms", ch. 3.
+is allowed for, layer by layer (Higham, "Accuracy and Stability of Numerical Algorithms", ch. 3).
 
 Non-guarantee: they are not tight. The overestimate shrinks with the square of the box's size once
 the network is nearly linear on it, and on large boxes bounds may say nothing.

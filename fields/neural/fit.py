@@ -68,8 +68,8 @@ class NeuralReport:
         return (
             f"{self.status} after {self.steps} steps, {self.seconds:.1f} s and "
             f"{self.sampling_seconds:.1f} s of sampling; {self.parameters} numbers. Of the "
-            f"diagonal: mean error {100 * a.near_error:.4f} % near the surface, {100 * a.box_error:.4f} % in "
-            f"the box, surfaces {100 * a.chamfer:.4f} % apart; normals off by {a.normal_error:.2f} "
+            f"diagonal: mean error {100 * a.near_error:.4f} % near the surface, "
+            f"{100 * a.box_error:.4f} % in the box, surfaces {100 * a.chamfer:.4f} % apart; normals off by {a.normal_error:.2f} "
             "degrees"
         )
 

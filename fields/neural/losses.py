@@ -62,7 +62,7 @@ def weighted(terms: dict[str, Tensor], options: NeuralOptions) -> Tensor:
 
 
 def distance_loss(values: Tensor, distances: Tensor, clamp: float | None) -> Tensor:
-    """Mean absolute difference, of clamped numbers if there is a clamp (Park et al. 2019, eq. 4)."""
+    """Mean absolute difference, clamped if there is a clamp (Park et al. 2019, eq. 4)."""
     if clamp is not None:
         values, distances = values.clamp(-clamp, clamp), distances.clamp(-clamp, clamp)
     return (values - distances).abs().mean()

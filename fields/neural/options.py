@@ -18,8 +18,8 @@ from fields.errors import InputError
 class NeuralOptions:
     """Options of `fields.fit_neural` and `fields.fit_family`.
 
-    With d the true distance, n its gradient, f the network, and lengths in units of half the longest
-    side of the training box, what is minimised is the sum of
+    With d the true distance, n its gradient, f the network, and lengths in units of half the
+    longest side of the training box, what is minimised is the sum of
 
         distance_weight     mean | clamp(f) - clamp(d) |      near the surface and in the box
         surface_weight      mean | f |                        on the surface
@@ -32,8 +32,8 @@ class NeuralOptions:
 
     Attributes:
         steps: Adam steps, along which the learning rate falls.
-        seconds: stop after so much time all the same, and let the learning rate fall along it. Such a
-            run cannot be repeated bit for bit. None for no limit.
+        seconds: stop after so much time all the same, and let the learning rate fall along it. Such
+            a run cannot be repeated bit for bit. None for no limit.
         batch: points of the distance term a step.
         gradient_batch: points of each of the terms on the surface, and of those with gradients in
             the box, a step.
@@ -44,7 +44,8 @@ class NeuralOptions:
             in equal parts, as fractions of the diagonal of the bounds.
         padding: width that the training box adds to the bounds on every side, a fraction of their
             diagonal.
-        clamp: distances beyond this fraction of the diagonal count as this; None for all as they are.
+        clamp: distances beyond this fraction of the diagonal count as this; None for all as they
+            are.
         distance_weight, surface_weight, normal_weight, eikonal_weight, off_surface_weight: above.
         sharpness: above, per unit.
         learning_rate: at the start, of the tables of a `HashGrid`; dense layers take a third of it

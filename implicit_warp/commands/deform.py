@@ -23,7 +23,8 @@ class Deform(Common):
     """Bend a shape by handles: solve for an injective warp, extract the mesh, check the file.
 
     SHAPE is a Python script that defines `shape` (it is run: use only scripts you trust), a field
-    that learn-sdf learned, or a closed mesh. The handle file says which regions stay and which move:
+    that learn-sdf learned, or a closed mesh. The handle file says which regions stay and which
+    move:
 
         [[handle]]
         region = "below(-0.6)"
