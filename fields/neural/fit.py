@@ -65,12 +65,12 @@ class NeuralReport:
 
     def __str__(self) -> str:
         a = self.accuracy
+        percent = [f"{100 * error:.4f} %" for error in (a.near_error, a.box_error, a.chamfer)]
         return (
             f"{self.status} after {self.steps} steps, {self.seconds:.1f} s and "
             f"{self.sampling_seconds:.1f} s of sampling; {self.parameters} numbers. Of the "
-            f"diagonal: mean error {100 * a.near_error:.4f} % near the surface, "
-            f"{100 * a.box_error:.4f} % in the box, surfaces {100 * a.chamfer:.4f} % apart; normals off by {a.normal_error:.2f} "
-            "degrees"
+            f"diagonal: mean error {percent[0]} near the surface, {percent[1]} in the box, surfaces "
+            f"{percent[2]} apart; normals off by {a.normal_error:.2f} degrees"
         )
 
 

@@ -54,8 +54,8 @@ class Network(nn.Module):
         for depth, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             fan_in = weight.shape[1]
             if isinstance(self.architecture, Siren):
-                # Weighted sums then have variance 1 before every sine but the first, whatever
-                # the width; the first spreads its phases over a whole turn.
+                # Weighted sums then have a variance of 0.8 to 1 before every sine but the first,
+                # whatever the width and depth; the first has its phases all over a turn.
                 frequency = self.architecture.frequency
                 uniform(weight, 1 / fan_in if depth == 0 else math.sqrt(6 / fan_in) / frequency)
                 uniform(bias, math.pi / frequency if depth == 0 else 0.0)
