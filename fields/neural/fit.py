@@ -9,6 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from fields.errors import FileFormatError, InputError
@@ -69,8 +70,8 @@ class NeuralReport:
         return (
             f"{self.status} after {self.steps} steps, {self.seconds:.1f} s and "
             f"{self.sampling_seconds:.1f} s of sampling; {self.parameters} numbers. Of the "
-            f"diagonal: mean error {percent[0]} near the surface, {percent[1]} in the box, surfaces "
-            f"{percent[2]} apart; normals off by {a.normal_error:.2f} degrees"
+            f"diagonal: mean error {percent[0]} near the surface, {percent[1]} in the box, "
+            f"surfaces {percent[2]} apart; normals off by {a.normal_error:.2f} degrees"
         )
 
 
@@ -113,6 +114,19 @@ def fit_neural(
     missing. Memory is about 100 bytes a sample and 20 bytes a parameter.
     """
     options = (options or NeuralOptions()).with_changes(changes)
+    # Whatever mode the caller is in, a fit needs gradients.
+    with torch.inference_mode(False), torch.enable_grad():
+        return _fit(source, architecture, options, checkpoint, resume, progress or silent)
+
+
+def _fit(
+    source: Field | TriangleMesh | str | PathLike[str],
+    architecture: str | Architecture,
+    options: NeuralOptions,
+    checkpoint: str | PathLike[str] | None,
+    resume: bool,
+    progress: Progress,
+) -> tuple[Field, NeuralReport]:
     network = Network(as_architecture(architecture), torch.Generator().manual_seed(options.seed))
     if checkpoint is not None:
         refuse_target(checkpoint, (files.SUFFIX,))
@@ -125,16 +139,15 @@ def fit_neural(
         options = options.with_changes({"eikonal_weight": 0.0})
     samples = draw(shape, cube, options).to(options.device)
     sampling_seconds = time.perf_counter() - start
-    # Whatever mode the caller is in, a fit needs gradients.
-    with torch.inference_mode(False), torch.enable_grad():
-        training = _training(network.to(options.device), samples, options, cube)
-        state = _CheckpointFile(checkpoint, training, network, options, samples)
-        if resume:
-            state.read()
-        status = training.run(progress or silent, state.write)
+    training = _training(network.to(options.device), samples, options, cube)
+    state = _CheckpointFile(checkpoint, training, network, options, samples)
+    if resume:
+        state.read()
+    status = training.run(progress, state.write)
     boxes = options.lipschitz_boxes
     slope = lipschitz_bound(network.cpu(), boxes) if boxes else None
-    learned = neural_field(NeuralOracle(network, cube.box, slope))
+    steepness = 1.0 if shape.exact else _steepness(samples, cube)
+    learned = neural_field(NeuralOracle(network, cube.box, slope, steepness))
     record = training.record
     report = NeuralReport(
         status=status,
@@ -158,6 +171,13 @@ def parameter_groups(network: Network) -> list[Group]:
     if network.table is not None:
         return [([network.table], 1.0), (dense, 1 / 3)]
     return [(dense, 0.1 if isinstance(network.architecture, Siren) else 1 / 3)]
+
+
+def _steepness(samples: Samples, cube: Cube) -> float:
+    """Twice the most that values fall below 0 a unit of depth in the box; see `leaf`."""
+    half = torch.from_numpy(np.ptp(cube.box, axis=0) / 2 / cube.unit)
+    depth = (half - samples.box.cpu().abs()).amin(dim=1).clamp_min(1e-6)
+    return max(1.0, 2 * float((-samples.box_distances.cpu() / depth).max()))
 
 
 def silent(done: int, total: int, text: str) -> None:

@@ -1,20 +1,21 @@
 """A network as a field: in the user's units, and guarded by the box it was trained in.
 
 A network says nothing true outside the box whose points it has seen, and often claims surfaces
-there. So the field of a network n, trained in a box B with the distance b to it, is
+there. So the field of a network n, trained in a box B with the signed distance b to it, is
 
-    f(p) = max( n(c(p)) + |p - c(p)|,  b(p) )        c(p): the point of B nearest to p,
+    f(p) = max( n(c(p)) + |p - c(p)|,  b(p) outside, steepness b(p) inside )
 
-in B the network itself (as long as it keeps below the depth in B, which a distance to a shape in B
-does), continuous, and at least the distance to B outside. Hence:
+with c(p) the point of B nearest to p: continuous, at least the distance to B outside, and inside
+the network itself, as long as that is not below -steepness times the depth in B. A distance to a
+shape in B never is, with a steepness of 1. Hence:
 
 bounds
     B: outside, f >= b > 0.
 growth
     1: {f <= t} lies within t of B.
 lipschitz
-    sqrt(L^2 + 1), for a bound L on the gradient in B: outside, n(c(p)) changes only along the sides
-    of B to which p is nearest, and |p - c(p)| only across them.
+    sqrt(L^2 + 1), or the steepness if that is more, for a bound L on the gradient in B: outside,
+    n(c(p)) changes only along the sides of B that p is nearest to, and |p - c(p)| only across them.
 
 The distances are part of the expression, so that every evaluator knows them; the network with c is
 the leaf.
@@ -51,6 +52,7 @@ class NeuralOracle:
         network: on [-1, 1]^3; a copy is kept.
         box: `(2, 3)`, where it was trained; its longest side is stretched to [-1, 1].
         lipschitz: a bound on the norm of its gradient, or None.
+        steepness: at least 1; see the module's text.
 
     Values are in the box's units. Points outside are replaced by the nearest ones of the box.
     Derivatives by the points: of every order for a `Siren`, two for a `HashGrid` on the CPU.
@@ -60,11 +62,15 @@ class NeuralOracle:
     outputs = 1
 
     def __init__(
-        self, network: Network, box: NDArray[np.float64], lipschitz: float | None = None
+        self,
+        network: Network,
+        box: NDArray[np.float64],
+        lipschitz: float | None = None,
+        steepness: float = 1.0,
     ) -> None:
         self.network = copy.deepcopy(network).cpu().float().requires_grad_(False)
         self.box = np.array(box, dtype=np.float64)
-        self.lipschitz = lipschitz
+        self.lipschitz, self.steepness = lipschitz, steepness
         self._centre = self.box.mean(axis=0)
         self._half = float(np.ptp(self.box, axis=0).max()) / 2
         self._copies: dict[tuple[torch.dtype, torch.device], Network] = {}
@@ -104,7 +110,7 @@ def neural_field(oracle: NeuralOracle, history: History | None = None) -> Field:
     known = oracle.lipschitz is not None
     tags = Tags(
         exact=False,
-        lipschitz=math.hypot(oracle.lipschitz, 1.0) if known else None,
+        lipschitz=max(math.hypot(oracle.lipschitz, 1.0), oracle.steepness) if known else None,
         extent=oracle.box,
         growth=1.0,
     )
@@ -128,7 +134,8 @@ def _guarded(oracle: NeuralOracle) -> Expression:
         abs(axis - float(c)) - float(h) for axis, c, h in zip((X, Y, Z), centre, half, strict=True)
     ]
     outside, faces = length(*(maximum(offset, 0.0) for offset in offsets)), maximum(*offsets)
-    return maximum(value + outside, where_negative(-faces, outside, faces))
+    guard = where_negative(-faces, outside, oracle.steepness * faces)
+    return maximum(value + outside, guard)
 
 
 def summary(network: Network) -> str:

@@ -47,7 +47,7 @@ def loss_terms(
     if options.surface_weight:
         terms["surface"] = values[: len(i)].abs().mean()
     if options.normal_weight:
-        difference = gradient[: len(i)] - samples.normals[i]
+        difference = gradient[: len(i)] - samples.gradients[i]
         terms["normal"] = difference.square().sum(dim=-1).mean()
     if options.eikonal_weight:
         terms["eikonal"] = eikonal_loss(gradient[len(i) :])

@@ -52,7 +52,8 @@ def measure(learned: Field, source: Field, cube: Cube, points: int = 20_000) -> 
         InputError: one of them has no surface in the box.
     """
     rng = np.random.default_rng(_SEED)
-    surface, normals = surface_points(source, cube, points, rng)
+    surface, gradients = surface_points(source, cube, points, rng)
+    normals = gradients / np.maximum(np.linalg.norm(gradients, axis=1, keepdims=True), 1e-12)
     offsets = rng.uniform(-NEAR, NEAR, (points, 1)) * cube.diagonal
     bounds = source.bounds
     near = surface + offsets * normals

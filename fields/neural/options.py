@@ -18,7 +18,7 @@ from fields.errors import InputError
 class NeuralOptions:
     """Options of `fields.fit_neural` and `fields.fit_family`.
 
-    With d the true distance, n its gradient, f the network, and lengths in units of half the
+    With d the true distance, n its gradient (the normal), f the network, and lengths in units of half the
     longest side of the training box, what is minimised is the sum of
 
         distance_weight     mean | clamp(f) - clamp(d) |      near the surface and in the box

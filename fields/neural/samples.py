@@ -64,13 +64,13 @@ class Samples:
     """Points in the cube [-1, 1]^3 with distances in its units, float32.
 
     Attributes:
-        surface, normals: `(m, 3)` on the surface, with the gradients there.
+        surface, gradients: `(m, 3)` on the surface, and of the field there: normals of a distance.
         near, near_distances: `(m, 3)` and `(m,)`, the same points moved off the surface.
         box, box_distances: `(k, 3)` and `(k,)`, uniform in the training box.
     """
 
     surface: Tensor
-    normals: Tensor
+    gradients: Tensor
     near: Tensor
     near_distances: Tensor
     box: Tensor
@@ -108,7 +108,7 @@ def draw(source: Field, cube: Cube, options: NeuralOptions) -> Samples:
         InputError: the field is NaN or infinite somewhere, or has no surface in its bounds.
     """
     rng = np.random.default_rng(options.seed)
-    surface, normals = surface_points(source, cube, options.near_samples, rng)
+    surface, gradients = surface_points(source, cube, options.near_samples, rng)
     spread = cube.diagonal * rng.choice(np.array(options.near_scales), len(surface))
     near = surface + rng.normal(size=surface.shape) * spread[:, None]
     near = np.clip(near, cube.box[0], cube.box[1])
@@ -119,7 +119,7 @@ def draw(source: Field, cube: Cube, options: NeuralOptions) -> Samples:
 
     return Samples(
         surface=cube.inwards(surface),
-        normals=torch.from_numpy(normals).float(),
+        gradients=torch.from_numpy(gradients).float(),
         near=cube.inwards(near),
         near_distances=distances(near),
         box=cube.inwards(box),
@@ -130,12 +130,10 @@ def draw(source: Field, cube: Cube, options: NeuralOptions) -> Samples:
 def surface_points(
     source: Field, cube: Cube, count: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """About uniform points `(count, 3)` on a field's surface in a box, and unit normals there."""
+    """About uniform points `(count, 3)` on a field's surface in a box, and its gradients there."""
     mesh = _mesh_of(source)
     points = _on_faces(mesh, count, rng) if mesh else _projected(source, cube, count, rng)
-    gradient = source.gradient(points)
-    length = np.linalg.norm(gradient, axis=1, keepdims=True)
-    return points, gradient / np.maximum(length, 1e-12)
+    return points, source.gradient(points)
 
 
 def _mesh_of(source: Field) -> MeshOracle | None:

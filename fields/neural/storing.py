@@ -47,6 +47,7 @@ def save_neural(
         "architecture": describe(leaf.network.architecture),
         "box": leaf.box.tolist(),
         "lipschitz": leaf.lipschitz,
+        "steepness": leaf.steepness,
         "report": None if report is None else report.to_dict(),
     }
     files.write(path, files.NEURAL, network_tensors(leaf.network), facts)
@@ -62,7 +63,8 @@ def load_neural(path: str | PathLike[str]) -> Field:
     tensors, facts = files.read(path, files.NEURAL)
     try:
         network = network_of(tensors, facts["architecture"])
-        oracle = NeuralOracle(network, np.array(facts["box"]), facts["lipschitz"])
+        box = np.array(facts["box"])
+        oracle = NeuralOracle(network, box, facts["lipschitz"], facts["steepness"])
     except files.DAMAGE as error:
         raise FileFormatError(f"{path}: the network's description is damaged ({error})") from error
     return neural_field(oracle, Call("load_neural", (), (literal(Path(path)),)))

@@ -103,7 +103,7 @@ class Training:
     def _run(self, progress: Progress, checkpoint: Callable[[], None]) -> str:
         record, options = self.record, self._options
         start = time.perf_counter() - record.seconds
-        saved, status = record.seconds, "finished"
+        saved, status, loss = record.seconds, "finished", None
         while record.step < options.steps:
             if options.seconds is not None and record.seconds >= options.seconds:
                 status = "out of time"
@@ -115,7 +115,7 @@ class Training:
                 if record.seconds - saved > CHECKPOINT_SECONDS:
                     checkpoint()
                     saved = record.seconds
-        if record.step % REVIEW:
+        if loss is not None and record.step % REVIEW:
             self._review(loss, progress)
         checkpoint()
         return status

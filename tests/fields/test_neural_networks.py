@@ -103,9 +103,9 @@ def test_gradients_of_an_eikonal_loss_by_all_parameters(architecture, rng):
 
 @torch.no_grad()
 def test_a_siren_starts_with_the_same_spread_at_every_depth():
-    """Section 3.2 of the paper, a little sharper: for weights uniform in +- sqrt(6 / n) / frequency,
-    sums have twice the variance of their inputs. Sines of many turns have 1/2, those of normal sums
-    of variance v have (1 - exp(-2 v)) / 2: so v goes from 1 to the fixed point near 0.8."""
+    """Section 3.2 of the paper, a little sharper. Weights are uniform in +- sqrt(6 / n) / w, so at
+    the frequency w sums have twice the variance of their inputs. Sines of many turns have 1/2,
+    those of normal sums of variance v have (1 - exp(-2 v)) / 2: v goes from 1 to near 0.8."""
     architecture = Siren(width=256, layers=6, frequency=30.0)
     network = Network(architecture, _generator())
     hidden, variance = 2 * torch.rand(4000, 3, generator=_generator()) - 1, 1.0
