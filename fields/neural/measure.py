@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fields.field import Field
-from fields.neural.samples import Cube, surface_points
+from fields.neural.samples import Cube, surface_points, units
 
 NEAR = 0.01
 """Points near the surface are within this fraction of the diagonal."""
@@ -53,7 +53,7 @@ def measure(learned: Field, source: Field, cube: Cube, points: int = 20_000) -> 
     """
     rng = np.random.default_rng(_SEED)
     surface, gradients = surface_points(source, cube, points, rng)
-    normals = gradients / np.maximum(np.linalg.norm(gradients, axis=1, keepdims=True), 1e-12)
+    normals = units(gradients)
     offsets = rng.uniform(-NEAR, NEAR, (points, 1)) * cube.diagonal
     bounds = source.bounds
     near = surface + offsets * normals
@@ -82,6 +82,5 @@ def _way_to_surface(field: Field, points: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _mean_angle(gradient: NDArray[np.float64], normals: NDArray[np.float64]) -> float:
-    lengths = np.linalg.norm(gradient, axis=1)
-    cosine = (gradient * normals).sum(axis=1) / np.maximum(lengths, 1e-12)
+    cosine = (units(gradient) * normals).sum(axis=1)
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())

@@ -18,8 +18,8 @@ from fields.errors import InputError
 class NeuralOptions:
     """Options of `fields.fit_neural` and `fields.fit_family`.
 
-    With d the true distance, n its gradient (the normal), f the network, and lengths in units of half the
-    longest side of the training box, what is minimised is the sum of
+    With d the true distance, n its gradient (on the surface, the normal), f the network, and
+    lengths in units of half the longest side of the training box, what is minimised is the sum of
 
         distance_weight     mean | clamp(f) - clamp(d) |      near the surface and in the box
         surface_weight      mean | f |                        on the surface

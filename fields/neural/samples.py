@@ -130,10 +130,19 @@ def draw(source: Field, cube: Cube, options: NeuralOptions) -> Samples:
 def surface_points(
     source: Field, cube: Cube, count: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """About uniform points `(count, 3)` on a field's surface in a box, and its gradients there."""
+    """About uniform points `(count, 3)` on a field's surface in a box, and its gradients there.
+
+    Those of a distance have length 1, also on an edge, where the field's own is a mean of two.
+    """
     mesh = _mesh_of(source)
     points = _on_faces(mesh, count, rng) if mesh else _projected(source, cube, count, rng)
-    return points, source.gradient(points)
+    gradients = source.gradient(points)
+    return points, units(gradients) if source.exact else gradients
+
+
+def units(vectors: Floats) -> Floats:
+    """Vectors `(n, 3)` at length 1; zero where they are."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 
 def _mesh_of(source: Field) -> MeshOracle | None:
