@@ -60,7 +60,7 @@ class HashGrid:
 
     levels: int = 8
     coarsest: int = 8
-    finest: int = 128
+    finest: int = 64
     log2_table: int = 15
     width: int = 64
     layers: int = 2

@@ -105,22 +105,27 @@ def _weights_along(x, y, z, one, resolution, direction):
     )
 
 
+@inlined
+def _corners(points, directions, p, n, offset, mask, number):
+    """The rows and weights of the corners of a point's cell."""
+    i, x = _place(points[p, 0], n, number)
+    j, y = _place(points[p, 1], n, number)
+    k, z = _place(points[p, 2], n, number)
+    if len(directions):
+        weights = _weights_along(x, y, z, number(1), number(n), directions[p])
+    else:
+        weights = _weights(x, y, z, number(1))
+    return _rows(i, j, k, n, offset, mask), weights
+
+
 @point_kernel
 def gather(points, table, resolutions, offsets, masks, directions, features):
     """features[2 l + f, p] = sum over the corners v of the cell of w_v table[v, f]."""
     number = points.dtype.type
-    one = number(1)
     for level in prange(len(resolutions)):
         n, offset, mask = resolutions[level], offsets[level], masks[level]
         for p in range(len(points)):
-            i, x = _place(points[p, 0], n, number)
-            j, y = _place(points[p, 1], n, number)
-            k, z = _place(points[p, 2], n, number)
-            rows = _rows(i, j, k, n, offset, mask)
-            if len(directions):
-                weights = _weights_along(x, y, z, one, number(n), directions[p])
-            else:
-                weights = _weights(x, y, z, one)
+            rows, weights = _corners(points, directions, p, n, offset, mask, number)
             first, second = number(0), number(0)
             for corner in range(8):
                 first += weights[corner] * table[rows[corner], 0]
@@ -133,18 +138,10 @@ def gather(points, table, resolutions, offsets, masks, directions, features):
 def scatter(points, upstream, resolutions, offsets, masks, directions, table):
     """table[v, f] += w_v upstream[2 l + f, p]: the transpose of `gather`."""
     number = points.dtype.type
-    one = number(1)
     for level in prange(len(resolutions)):
         n, offset, mask = resolutions[level], offsets[level], masks[level]
         for p in range(len(points)):
-            i, x = _place(points[p, 0], n, number)
-            j, y = _place(points[p, 1], n, number)
-            k, z = _place(points[p, 2], n, number)
-            rows = _rows(i, j, k, n, offset, mask)
-            if len(directions):
-                weights = _weights_along(x, y, z, one, number(n), directions[p])
-            else:
-                weights = _weights(x, y, z, one)
+            rows, weights = _corners(points, directions, p, n, offset, mask, number)
             first, second = upstream[2 * level, p], upstream[2 * level + 1, p]
             for corner in range(8):
                 table[rows[corner], 0] += weights[corner] * first
