@@ -20,7 +20,10 @@ WIDTH = 1280
 
 def make(name: str, folder: Path) -> None:
     """Solve one example and put its picture into docs/pictures."""
-    if name == "demo":
+    if name == "learned":
+        code = runpy.run_path(str(EXAMPLES / "learned/run.py"))["run"](folder)
+        picture = folder / "learned.png"
+    elif name == "demo":
         code = runpy.run_path(str(EXAMPLES / "demo/run.py"))["run"](folder, "--resolution", "256")
         picture = folder / "part.png"
     elif name == "section":
@@ -55,7 +58,7 @@ def _reduce(source: Path, target: Path) -> None:
 
 
 if __name__ == "__main__":
-    names = ("demo", "section", "bar", "cylinder", "plate", "cactus")
+    names = ("demo", "section", "bar", "cylinder", "plate", "cactus", "learned")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", choices=[*names, []])
     with tempfile.TemporaryDirectory() as temporary:

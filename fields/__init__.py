@@ -12,16 +12,23 @@ Needs numpy and torch. What needs more imports it when it is called: `mesh` Open
 `svg` fontTools and Manifold, `image` scikit-image and Pillow, outlines of many edges Numba.
 Needs numpy and torch; meshes and grids import Numba when they are made, and libraries for files
 when they are read.
+Needs numpy and torch; `mesh` imports Open3D when it is called, networks import Numba and
+safetensors when they are.
 """
 
 from __future__ import annotations
 
-from fields.errors import InputError, MissingDependency
+from fields.errors import FileFormatError, InputError, MissingDependency
 from fields.evaluators.choice import back_end
 from fields.field import Field, from_function
 from fields.grid import grid
 from fields.grid_files import load_grid, save_grid
 from fields.mesh import mesh
+from fields.neural.architecture import HashGrid, Siren
+from fields.neural.family import Family, FamilyReport, fit_family
+from fields.neural.fit import NeuralReport, fit_neural
+from fields.neural.options import NeuralOptions
+from fields.neural.storing import load_neural, save_neural
 from fields.occupancy import from_occupancy
 from fields.parse import parse
 from fields.primitives import (
@@ -117,9 +124,16 @@ taper_extrude = Field.taper_extrude
 twist_extrude = Field.twist_extrude
 
 __all__ = [
+    "Family",
+    "FamilyReport",
     "Field",
+    "FileFormatError",
+    "HashGrid",
     "InputError",
     "MissingDependency",
+    "NeuralOptions",
+    "NeuralReport",
+    "Siren",
     "above",
     "affine",
     "arc",
@@ -142,6 +156,8 @@ __all__ = [
     "engrave",
     "extrude",
     "extrude_to",
+    "fit_family",
+    "fit_neural",
     "from_function",
     "from_occupancy",
     "front",
@@ -156,6 +172,7 @@ __all__ = [
     "line",
     "linear_array",
     "load_grid",
+    "load_neural",
     "loft",
     "mesh",
     "mirror",
@@ -184,6 +201,7 @@ __all__ = [
     "rounded_box",
     "rounded_rectangle",
     "save_grid",
+    "save_neural",
     "scale",
     "shear",
     "shell",

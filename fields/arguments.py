@@ -52,13 +52,12 @@ def not_negative(argument: str, value: object) -> float:
     return result
 
 
-def whole(argument: str, value: object, least: int = 1) -> int:
-    """A whole number that is not too small; a float with such a value will do."""
+def whole(argument: str, value: object, least: int = 1, most: int | None = None) -> int:
+    """A whole number in a range; a float with such a value will do."""
     result = number(argument, value)
-    if result != int(result) or result < least:
-        raise InputError(
-            argument, value, f"it must be a whole number of at least {least}", "pass an integer"
-        )
+    bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
+    if result != int(result) or result < least or (most is not None and result > most):
+        raise InputError(argument, value, f"it must be a whole number {bounds}", "pass an integer")
     return int(result)
 
 

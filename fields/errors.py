@@ -33,6 +33,10 @@ class InputError(ValueError):
         super().__init__(f"{argument} = {_short(value)}: {cause}. {remedy}.")
 
 
+class FileFormatError(ValueError):
+    """A file is unreadable, truncated, or of a version this library does not know."""
+
+
 class MissingDependency(ImportError):  # noqa: N818 (named for what is the matter)
     """An optional library that a feature needs is not installed or does not load."""
 

@@ -16,6 +16,7 @@ from fields.errors import InputError
 from fields.field import Field
 from fields.grid_files import load_grid
 from fields.mesh import mesh
+from fields.neural.storing import load_neural
 from fields.notation import LIMIT
 from fields.operations import RULES
 from fields.primitives import PRIMITIVES
@@ -50,8 +51,8 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
             with at most 200 parentheses open at once (a limit of Python's own parser) and
             chains of at most some hundreds of steps. Lists may be long: of the arguments
             of a union, say.
-        allow_files: also allow `mesh`, `load_grid`, `text`, `svg` and `image`, which read files
-            (of a text, the font).
+        allow_files: also allow `mesh`, `load_grid`, `load_neural`, `text`, `svg` and `image`,
+            which read files (of a text, the font).
 
     Raises:
         InputError: the text is not such an expression; the message names the column
@@ -85,6 +86,7 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
 
 _FILE_READERS: dict[str, Callable[..., Field]] = {
     "load_grid": load_grid,
+    "load_neural": load_neural,
     "mesh": mesh,
     "text": lettering,
     "svg": svg,

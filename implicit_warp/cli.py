@@ -24,6 +24,7 @@ from implicit_warp.commands.common import BAD_INPUT, DEFECT, INTERRUPTED
 from implicit_warp.commands.deform import Deform
 from implicit_warp.commands.extract import Extract
 from implicit_warp.commands.info import Info
+from implicit_warp.commands.learn_sdf import LearnSdf
 from implicit_warp.commands.slice import Slice
 from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
 
@@ -33,6 +34,7 @@ COMMANDS = {
     "slice": Slice,
     "apply": Apply,
     "check": Check,
+    "learn-sdf": LearnSdf,
     "info": Info,
     "bench": Bench,
 }

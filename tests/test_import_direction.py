@@ -31,6 +31,7 @@ FIELDS_ON_USE = {
     "fields/evaluators/threads.py": {"numba"},
     "fields/grid_files.py": {"nrrd"},
     "fields/mesh_files.py": {"trimesh"},
+    "fields/neural/files.py": {"safetensors"},
     "fields/profiles/drawing.py": {"fontTools"},
     "fields/profiles/filling.py": {"manifold3d"},
     "fields/profiles/lettering.py": {"fontTools"},
@@ -45,6 +46,8 @@ FIELDS_KERNELS = {
     "fields/kernels/interpolation.py",
     "fields/kernels/triangle_tree.py",
     "fields/kernels/winding_number.py",
+    "fields/neural/enclosure_kernels.py",
+    "fields/neural/hash_kernels.py",
     "fields/profiles/outline_kernel.py",
 }
 
