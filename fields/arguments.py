@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from numbers import Real
 from typing import TypeAlias
 
@@ -52,6 +52,43 @@ def not_negative(argument: str, value: object) -> float:
     return result
 
 
+def between(argument: str, value: object, low: float, high: float) -> float:
+    """A finite number above `low` and below `high`."""
+    result = number(argument, value)
+    if not low < result < high:
+        raise InputError(
+            argument,
+            value,
+            f"it must be above {low:g} and below {high:g}",
+            "pass a number in this range",
+        )
+    return result
+
+
+def whole(argument: str, value: object, least: int) -> int:
+    """A whole number of at least `least`; 3.0 counts as 3."""
+    result = number(argument, value)
+    if result < least or result != math.floor(result):
+        raise InputError(
+            argument, value, f"it must be a whole number of at least {least}", "pass an int"
+        )
+    return int(result)
+
+
+def flag(argument: str, value: object) -> bool:
+    """True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(argument, value, "it is neither True nor False", "pass one of them")
+    return bool(value)
+
+
+def choice(argument: str, value: object, options: Sequence[str]) -> str:
+    """One of some words."""
+    if value not in options:
+        raise InputError(argument, value, "there is no such choice", f"use {' or '.join(options)}")
+    return str(value)
+
+
 def vector(argument: str, value: object) -> Vector:
     """Three finite numbers."""
     items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
@@ -59,6 +96,16 @@ def vector(argument: str, value: object) -> Vector:
         raise InputError(argument, value, "three numbers are needed", "pass (x, y, z)")
     x, y, z = (number(f"{argument}[{index}]", item) for index, item in enumerate(items))
     return (x, y, z)
+
+
+def points_array(argument: str, value: object, least: int) -> NDArray[np.float64]:
+    """At least so many points `(n, 3)`, all coordinates finite."""
+    items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
+    if not isinstance(items, list | tuple) or len(items) < least:
+        raise InputError(
+            argument, value, f"at least {least} points are needed", "pass ((x, y, z), ...)"
+        )
+    return np.array([vector(f"{argument}[{index}]", item) for index, item in enumerate(items)])
 
 
 def numbers_or_one(

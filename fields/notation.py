@@ -25,7 +25,7 @@ can stand for a text that is exponentially larger than itself."""
 _OPERATORS = {"union": ("|", 1), "intersection": ("&", 2), "difference": ("-", 3)}
 _ATOM = 4
 
-Literal: TypeAlias = "float | str | Opaque | tuple[Literal, ...]"
+Literal: TypeAlias = "float | str | bool | Opaque | tuple[Literal, ...]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ History: TypeAlias = "Call | Opaque"
 
 
 def literal(value: object) -> Literal:
-    """A value as it will be written: numbers as floats, arrays as tuples.
+    """A value as it will be written: numbers as floats, arrays as tuples, flags as they are.
 
     Takes a copy, so that a later change of an array does not change the record.
     """
@@ -64,7 +64,7 @@ def literal(value: object) -> Literal:
         value = value.tolist()
     if isinstance(value, list | tuple):
         return tuple(literal(item) for item in value)
-    if isinstance(value, str | Opaque):
+    if isinstance(value, str | bool | Opaque):
         return value
     if isinstance(value, PathLike):
         return str(fspath(value))

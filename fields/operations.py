@@ -165,7 +165,7 @@ def rotate(body: Body, rotation: float | ArrayLike, axis: str | ArrayLike = "z")
 @rule
 def orient(body: Body, axis: str | ArrayLike) -> Body:
     """a(R^T p), for R the shortest turn that sends +z to the axis."""
-    return _rotated(body, _shortest_turn(arguments.direction("axis", axis)))
+    return _rotated(body, shortest_turn(arguments.direction("axis", axis)))
 
 
 def _rotated(body: Body, turn: Matrix) -> Body:
@@ -261,7 +261,7 @@ def _turn(degrees: float, axis: Vector) -> Matrix:
     return np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)
 
 
-def _shortest_turn(target: Vector) -> Matrix:
+def shortest_turn(target: Vector) -> Matrix:
     """The rotation by the least angle that sends +z to a unit vector.
 
     I + K + K^2 / (1 + c), with K the cross product with z x target and c = target . z.
