@@ -32,8 +32,8 @@ from fields.expression import (
     square,
     where_negative,
 )
-from fields.formulas import bounding_body
-from fields.operations import Body
+from fields.formulas import bounding_body, disc_reach
+from fields.operations import Body, Matrix
 from fields.primitives import primitive
 
 NEWTON_STEPS = 10
@@ -41,6 +41,9 @@ NEWTON_STEPS = 10
 
 STEEP = 1e-9
 """Least divisor of a Newton step; smaller ones belong to no minimum of the distance."""
+
+STEPS = 1000
+"""Along a turn, or a whole helix, when its box is looked up."""
 
 TURN = 2 * math.pi
 
@@ -74,17 +77,17 @@ def helix(
     side = _side(hand)
     curve = _Helix(r, rise, last, side)
     distance = curve.tube_with_flat_ends(thin) if flat else curve.distance() - thin
-    slope = math.hypot(r, rise)
-    high = rise * last + thin * (r / slope if flat else 1.0)
-    # The helix seen from above is an arc, as far as it goes.
-    back = r * math.cos(min(last, math.pi)) - thin
-    beside = r * math.sin(min(last, math.pi / 2)) + thin
-    return bounding_body(
-        distance,
-        (back, -beside, -high),
-        (r + thin, beside, high),
-        exact=thin <= curve.reach(),
-    )
+    low, high = curve.extent(thin, flat)
+    return bounding_body(distance, low, high, exact=thin <= curve.reach())
+
+
+def _box(low: Matrix, high: Matrix, step: float, curvature: float) -> tuple[Matrix, Matrix]:
+    """The box around boxes `(n, 3)` that follow a curve in steps of its parameter.
+
+    Between two steps the sides can be farther out by a second derivative times step^2 / 8.
+    """
+    slack = curvature * step**2 / 8
+    return low.min(axis=0) - slack, high.max(axis=0) + slack
 
 
 class _Helix:
@@ -108,11 +111,19 @@ class _Helix:
         """Where the local minimum is, perhaps beyond the ends, and what is left of m there."""
         angle = atan2(self.y, X)
         wanted = Z / self.rise
-        turn = maximum(floor((wanted - angle) / TURN + 0.5), -floor((self.last + angle) / TURN))
-        center = angle + TURN * minimum(turn, floor((self.last - angle) / TURN))
+        a = length(X, self.y) * (self.r / self.rise**2)
+        # The turn nearest in height, if its middle is on the curve; or just past an end from
+        # which the distance decreases inwards, so that the minimum is before the end.
+        turn = floor((wanted - angle) / TURN + 0.5)
+        for sign in (1.0, -1.0):
+            ahead = sign * wanted - self.last
+            slope = ahead - a * sin(self.last - sign * angle)
+            limit = floor((self.last - sign * angle) / TURN)
+            limit = limit + where_negative(maximum(ahead, slope), 1.0, 0.0)
+            turn = sign * minimum(sign * turn, limit)
+        center = angle + TURN * turn
         m = wanted - center
         size = abs(m)
-        a = length(X, self.y) * (self.r / self.rise**2)
         # Not beyond the crossing, since sin phi is at most phi and at most pi - phi.
         phi = maximum(size / (1.0 + a), (size - math.pi * a) / maximum(1.0 - a, STEEP))
         phi = minimum(phi, math.pi)
@@ -125,7 +136,7 @@ class _Helix:
         """To the nearest of the local minimum, moved into the curve, and both ends."""
         within = clamp(self.parameter, -self.last, self.last)
         offsets = (X - self.r * cos(within), self.y - self.r * sin(within), Z - self.rise * within)
-        ends = (length(*self._from_end(self.y, sign * Z, sign)) for sign in (1.0, -1.0))
+        ends = (length(*self._from_end(self.y, Z, sign)) for sign in (1.0, -1.0))
         return minimum(length(*offsets), *ends)
 
     def tube_with_flat_ends(self, thin: float) -> Expression:
@@ -169,6 +180,21 @@ class _Helix:
         """How far past the plane of an end disc, and how far beside the disc."""
         ahead, outward, sideways = self._from_end(y, z, sign)
         return ahead, length(outward, sideways) - thin
+
+    def extent(self, thin: float, flat: bool) -> tuple[Matrix, Matrix]:
+        """The box around the discs square to the curve, or around the balls on it."""
+        t, step = np.linspace(-self.last, self.last, STEPS, retstep=True)
+        sign = 1.0 if self.y is Y else -1.0
+        x, y = self.r * np.cos(t), sign * self.r * np.sin(t)
+        middle = np.stack([x, y, self.rise * t], axis=1)
+        if flat:
+            tangent = np.stack([-y, x, np.full_like(t, self.rise * sign)], axis=1)
+            reach = thin * disc_reach(tangent / math.hypot(self.r, self.rise))
+        else:
+            reach = np.full(3, thin)
+        low, high = _box(middle - reach, middle + reach, float(step), self.r + 2 * thin)
+        rim = np.array([self.r + thin, self.r + thin, self.rise * self.last + thin])
+        return np.maximum(low, -rim), np.minimum(high, rim)
 
     def reach(self) -> float:
         """A radius up to which a tube has one nearest point of the curve everywhere.
@@ -274,10 +300,20 @@ def torus_knot(p: int, q: int, major: float, minor: float, tube: float) -> Body:
     knot = sqrt(minimum(*crossings))
     hull = length(across - ring, Z) - wound
     blend = minimum(across / clear, 1.0)
-    reach = ring + wound + thin
+    turn, step = np.linspace(0, TURN * around, STEPS * around, retstep=True)
+    winding = turn * through / around
+    far = ring + wound * np.cos(winding) + thin
+    x, y, z = far * np.cos(turn), far * np.sin(turn), wound * np.sin(winding)
+    curvature = (ring + wound + thin) * (1 + through / around) ** 2
+    low, high = _box(
+        np.stack([x, y, z - thin], axis=1),
+        np.stack([x, y, z + thin], axis=1),
+        float(step),
+        curvature,
+    )
     return bounding_body(
         hull + blend * (knot - hull) - thin,
-        (-reach, -reach, -wound - thin),
-        (reach, reach, wound + thin),
+        low,
+        high,
         lipschitz=math.hypot(1 + 2 * wound / clear, through * wound / (around * clear)),
     )
