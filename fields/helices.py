@@ -42,6 +42,9 @@ NEWTON_STEPS = 10
 STEEP = 1e-9
 """Least divisor of a Newton step; smaller ones belong to no minimum of the distance."""
 
+UNSETTLED = 1e-3
+"""What a Newton iteration without a crossing leaves is more than this, and rounding is less."""
+
 STEPS = 1000
 """Along a turn, or a whole helix, when its box is looked up."""
 
@@ -136,36 +139,39 @@ class _Helix:
         """To the nearest of the local minimum, moved into the curve, and both ends."""
         within = clamp(self.parameter, -self.last, self.last)
         offsets = (X - self.r * cos(within), self.y - self.r * sin(within), Z - self.rise * within)
-        ends = (length(*self._from_end(self.y, Z, sign)) for sign in (1.0, -1.0))
+        ends = (length(*self._from_end(sign)) for sign in (1.0, -1.0))
         return minimum(length(*offsets), *ends)
 
     def tube_with_flat_ends(self, thin: float) -> Expression:
         """The distance to the discs of radius `thin` square to the curve, taken together.
 
         Outside it is the least to the tube's side, where the foot is on the curve, and to both
-        end discs; inside, to what bounds it, the same three. The helix looks alike from both
-        ends, so the point is turned to the end where its own foot is.
+        end discs; inside, to what bounds it, the same three.
         """
         t = self.parameter
         side = length(X - self.r * cos(t), self.y - self.r * sin(t), Z - self.rise * t) - thin
-        y, z = where_negative(t, -self.y, self.y), where_negative(t, -Z, Z)
-        ahead, beside = self._end_offsets(y, z, 1.0, thin)
-        near = where_negative(beside, abs(ahead), length(ahead, beside))
-        behind, aside = self._end_offsets(y, z, -1.0, thin)
-        far = where_negative(aside, abs(behind), length(behind, aside))
-        inside = maximum(side, where_negative(beside, ahead, -near), -far)
-        # On an end disc itself its height has a sign, and its absolute value no gradient.
-        past = minimum(where_negative(beside, ahead, near), far)
-        has_foot = maximum(abs(t) - self.last, self.residual - 1e-6)
-        return where_negative(
-            has_foot, where_negative(side, inside, minimum(side, near, far)), past
-        )
+        flush = STEEP * thin
+        to_disc, within = [], []
+        for sign in (1.0, -1.0):
+            ahead, outward, sideways = self._from_end(sign)
+            beside = length(outward, sideways) - thin
+            rim = length(ahead, beside)
+            # Next to a disc the height above it keeps its sign, whichever side rounding puts
+            # the point on.
+            outside = where_negative(ahead + flush, -ahead, ahead)
+            inside = where_negative(ahead - flush, ahead, -ahead)
+            to_disc.append(where_negative(beside, outside, rim))
+            within.append(where_negative(beside, inside, -rim))
+        has_foot = maximum(abs(t) - self.last, self.residual - UNSETTLED)
+        at_foot = where_negative(side, maximum(side, *within), minimum(side, *to_disc))
+        return where_negative(has_foot, at_foot, minimum(*to_disc))
 
-    def _from_end(self, y: Expression, z: Expression, sign: float) -> Coordinates:
+    def _from_end(self, sign: float) -> Coordinates:
         """The offset from one end: along the curve outwards, from the axis, and square to both."""
         sine, cosine = math.sin(self.last), math.cos(self.last)
         slope = math.hypot(self.r, self.rise)
-        y, z = (y, z) if sign > 0 else (-y, -z)
+        # The helix looks the same from both ends.
+        y, z = (self.y, Z) if sign > 0 else (-self.y, -Z)
         around = cosine * y - sine * X
         up = z - self.rise * self.last
         return (
@@ -173,13 +179,6 @@ class _Helix:
             cosine * X + sine * y - self.r,
             (self.r * up - self.rise * around) / slope,
         )
-
-    def _end_offsets(
-        self, y: Expression, z: Expression, sign: float, thin: float
-    ) -> tuple[Expression, Expression]:
-        """How far past the plane of an end disc, and how far beside the disc."""
-        ahead, outward, sideways = self._from_end(y, z, sign)
-        return ahead, length(outward, sideways) - thin
 
     def extent(self, thin: float, flat: bool) -> tuple[Matrix, Matrix]:
         """The box around the discs square to the curve, or around the balls on it."""

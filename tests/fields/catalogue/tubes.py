@@ -87,11 +87,11 @@ def _helix(radius, pitch, turns, side=1.0) -> Piece:
     return points
 
 
-def _tangents(radius, pitch, turns):
-    """At both ends of a helix."""
+def _flat_helix(field: Field, radius, thin, pitch, turns) -> Surface:
     a = np.pi * turns * np.array([-1.0, 1.0])
     rise = np.full(2, pitch / (2 * np.pi))
-    return np.stack([-radius * np.sin(a), radius * np.cos(a), rise], axis=1)
+    tangents = np.stack([-radius * np.sin(a), radius * np.cos(a), rise], axis=1)
+    return tube(field, [_helix(radius, pitch, turns)], thin, flat=tangents)
 
 
 def _plate(field: Field, corners: np.ndarray, thickness: float) -> Surface:
@@ -207,13 +207,9 @@ SURFACES = {
     "bezier": tube(EXAMPLES["bezier"], [_bezier(*BENT)], 0.25),
     "bezier, nearly straight": tube(EXAMPLES["bezier, nearly straight"], [_bezier(*LONG)], 0.3),
     "helix": tube(EXAMPLES["helix"], [_helix(0.9, 0.8, 2.3)], 0.2),
-    "helix, flat ends": tube(
-        EXAMPLES["helix, flat ends"], [_helix(0.9, 0.8, 1.7)], 0.2, flat=_tangents(0.9, 0.8, 1.7)
-    ),
+    "helix, flat ends": _flat_helix(EXAMPLES["helix, flat ends"], 0.9, 0.2, 0.8, 1.7),
     "helix, left": tube(EXAMPLES["helix, left"], [_helix(0.6, 2.0, 1.2, -1.0)], 0.25),
-    "helix, an arc": tube(
-        EXAMPLES["helix, an arc"], [_helix(1.0, 0.5, 0.6)], 0.2, flat=_tangents(1.0, 0.5, 0.6)
-    ),
+    "helix, an arc": _flat_helix(EXAMPLES["helix, an arc"], 1.0, 0.2, 0.5, 0.6),
     "helix, an arc with round ends": tube(
         EXAMPLES["helix, an arc with round ends"], [_helix(1.0, 1.5, 0.4)], 0.2
     ),
