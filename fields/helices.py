@@ -46,7 +46,7 @@ UNSETTLED = 1e-3
 """What a Newton iteration without a crossing leaves is more than this, and rounding is less."""
 
 STEPS = 1000
-"""Along a turn, or a whole helix, when its box is looked up."""
+"""Along a turn, where its box is looked up."""
 
 TURN = 2 * math.pi
 
@@ -85,7 +85,7 @@ def helix(
 
 
 def _box(low: Matrix, high: Matrix, step: float, curvature: float) -> tuple[Matrix, Matrix]:
-    """The box around boxes `(n, 3)` that follow a curve in steps of its parameter.
+    """The box around boxes `(n, d)` that follow a curve in steps of its parameter.
 
     Between two steps the sides can be farther out by a second derivative times step^2 / 8.
     """
@@ -181,19 +181,26 @@ class _Helix:
         )
 
     def extent(self, thin: float, flat: bool) -> tuple[Matrix, Matrix]:
-        """The box around the discs square to the curve, or around the balls on it."""
-        t, step = np.linspace(-self.last, self.last, STEPS, retstep=True)
-        sign = 1.0 if self.y is Y else -1.0
-        x, y = self.r * np.cos(t), sign * self.r * np.sin(t)
-        middle = np.stack([x, y, self.rise * t], axis=1)
+        """The box around the discs square to the curve, or around the balls on it.
+
+        From above the curve is an arc, or a circle; its ends are the highest and lowest.
+        """
+        half = min(self.last, math.pi)
+        t, step = np.linspace(-half, half, STEPS, retstep=True)
+        x, y = self.r * np.cos(t), self.r * np.sin(t)
+        slope = math.hypot(self.r, self.rise)
+        reach = np.full((STEPS, 2), thin)
         if flat:
-            tangent = np.stack([-y, x, np.full_like(t, self.rise * sign)], axis=1)
-            reach = thin * disc_reach(tangent / math.hypot(self.r, self.rise))
-        else:
-            reach = np.full(3, thin)
-        low, high = _box(middle - reach, middle + reach, float(step), self.r + 2 * thin)
-        rim = np.array([self.r + thin, self.r + thin, self.rise * self.last + thin])
-        return np.maximum(low, -rim), np.minimum(high, rim)
+            reach = thin * disc_reach(np.stack([y, x], axis=1) / slope)
+        middle = np.stack([x, y], axis=1)
+        low, high = _box(middle - reach, middle + reach, float(step), self.r + thin)
+        # It looks the same from both ends, so that the sides in y are equal; of either hand.
+        top = self.rise * self.last + thin * (self.r / slope if flat else 1.0)
+        rim = self.r + thin
+        return (
+            np.array([max(low[0], -rim), max(low[1], -rim), -top]),
+            np.array([min(high[0], rim), min(high[1], rim), top]),
+        )
 
     def reach(self) -> float:
         """A radius up to which a tube has one nearest point of the curve everywhere.
@@ -215,12 +222,12 @@ def thread(
 ) -> Body:
     """An external screw thread about the z axis, with the basic 60 degree profile of ISO 68-1.
 
-    Crests are pitch / 8 wide and roots pitch / 4, 5/8 of the sharp profile's height apart, with
-    flat ends. The field is the distance within half-planes through the axis. Across them it
-    changes by cos(30) lead / (2 pi rho) at a distance rho from the axis; ridges are cut off
-    inside, where their field would be below -margin, so that this is only seen
-    where rho is at least the root's radius less the margin. It is Lipschitz with the constant
-    that follows, and a bound everywhere after division by it.
+    Crests are pitch / 8 wide and roots pitch / 4, and 5/8 of the sharp triangle's height apart;
+    the ends are flat. The field is no distance: it bounds one within each half-plane through the
+    axis. From one half-plane to the next a flank's field changes by cos(30) lead / (2 pi rho) a
+    unit of length, at a distance rho from the axis. To keep that finite, no ridge's field is less
+    than -margin, below which the core's is; so flanks only count where rho is at least the root's
+    radius less the margin, which gives the Lipschitz constant.
 
     Args:
         diameter: over the crests, the nominal size (M8: 8).
@@ -259,14 +266,16 @@ def thread(
 def torus_knot(p: int, q: int, major: float, minor: float, tube: float) -> Body:
     """A tube along a knot that runs p times around the z axis and q times around a ring's tube.
 
-    The field is the least distance, in the half-plane through the axis and the point, to the p
-    places where the knot crosses it; so sections by these half-planes are discs, and the tube
-    is thinner than that across itself where the knot is steep. Turning the half-plane
-    moves the places by q/p minor a radian, which is steep near the axis. There, up to a
-    radius `clear`, the field is blended, in proportion to the radius, with the distance to the
-    ring that the knot is wound on, which lies in the hole's wall: both are positive there. The
-    two differ by at most 2 minor, and neither is steeper than 1 in the half-plane, so
-    the gradient is at most hypot(1 + 2 minor / clear, q minor / (p clear)).
+    The field is no distance: it is the least one, in the half-plane through the axis and the
+    point, to the p places where the knot crosses it. Sections by these half-planes are discs,
+    so that where the knot is steep the tube is thinner when measured across itself. For a tube
+    of one thickness, pass points of the knot to `polyline`.
+
+    Turning the half-plane moves the crossings by q/p minor a radian, which is too fast near
+    the axis. Up to the radius `clear` of the hole the field is therefore mixed, in proportion to
+    the radius, with the distance to the ring that the knot is wound on; both are positive there.
+    They differ by at most 2 minor and are no steeper than 1 in the half-plane, so the gradient is
+    at most hypot(1 + 2 minor / clear, q minor / (p clear)).
 
     Args:
         p: times around the z axis, 1 or more.

@@ -43,6 +43,8 @@ EXAMPLES: dict[str, Field] = {
     "helix, an arc": sdf.helix(1.0, 0.2, 0.5, 0.6, ends="flat"),
     "helix, an arc with round ends": sdf.helix(1.0, 0.2, 1.5, 0.4),
     "helix, turns that meet": sdf.helix(0.8, 0.3, 0.4, 2.0),
+    "helix, flat turns that meet": sdf.helix(0.8, 0.3, 0.4, 2.0, ends="flat"),
+    "helix, steep": sdf.helix(0.3, 0.2, 3.0, 0.8, ends="flat"),
     "thread": sdf.thread(1.6, 0.4, 1.5),
     "thread, left, three starts": sdf.thread(1.8, 0.3, 1.2, starts=3, hand="left"),
     "thread, coarse": sdf.thread(1.0, 0.8, 2.0),
@@ -213,6 +215,7 @@ SURFACES = {
     "helix, an arc with round ends": tube(
         EXAMPLES["helix, an arc with round ends"], [_helix(1.0, 1.5, 0.4)], 0.2
     ),
+    "helix, steep": _flat_helix(EXAMPLES["helix, steep"], 0.3, 0.2, 3.0, 0.8),
     "thread": _thread(EXAMPLES["thread"], 0.8, 0.4, 0.4, 1.5),
     "thread, left, three starts": _thread(
         EXAMPLES["thread, left, three starts"], 0.9, 0.3, -0.9, 1.2
