@@ -23,6 +23,10 @@ from fields.evaluators.choice import back_end
 from fields.field import Field, from_function
 from fields.grid import grid
 from fields.grid_files import load_grid, save_grid
+from fields.ellipsoids import ellipsoid, superellipsoid
+from fields.errors import InputError, MissingDependency
+from fields.helices import helix, thread, torus_knot
+from fields.lattices import gyroid, neovius, schwarz_d, schwarz_p
 from fields.mesh import mesh
 from fields.neural.architecture import HashGrid, Siren
 from fields.neural.family import Family, FamilyReport, fit_family
@@ -31,6 +35,16 @@ from fields.neural.options import NeuralOptions
 from fields.neural.storing import load_neural, save_neural
 from fields.occupancy import from_occupancy
 from fields.parse import parse
+from fields.polyhedra import (
+    convex_hull,
+    dodecahedron,
+    icosahedron,
+    octahedron,
+    pyramid,
+    rhombic_dodecahedron,
+    rhombic_triacontahedron,
+    tetrahedron,
+)
 from fields.primitives import (
     above,
     behind,
@@ -79,6 +93,27 @@ from fields.profiles.straight import (
     triangle,
 )
 from fields.profiles.turned import lathe
+from fields.prisms import (
+    box_frame,
+    hexagonal_prism,
+    prism,
+    sector,
+    slab,
+    triangular_prism,
+    tube,
+    wedge,
+from fields.round_solids import (
+    capped_cone,
+    cut_hollow_sphere,
+    cut_sphere,
+    death_star,
+    egg,
+    infinite_cone,
+    lens,
+    rounded_cone,
+    rounded_cylinder,
+    solid_angle,
+from fields.tubes import bezier, capped_torus, link, polyline, quad, triangle
 
 # Each operation is a method of Field and, unbound, a function of fields.
 union = Field.union
@@ -141,14 +176,22 @@ __all__ = [
     "behind",
     "below",
     "bend",
+    "bezier",
     "box",
+    "box_frame",
+    "capped_cone",
+    "capped_torus",
     "capsule",
     "circle",
     "circular_array",
     "coil",
     "cone",
     "cross",
+    "convex_hull",
+    "cut_hollow_sphere",
+    "cut_sphere",
     "cylinder",
+    "death_star",
     "difference",
     "displace",
     "ellipse",
@@ -158,6 +201,9 @@ __all__ = [
     "extrude_to",
     "fit_family",
     "fit_neural",
+    "dodecahedron",
+    "egg",
+    "ellipsoid",
     "from_function",
     "from_occupancy",
     "front",
@@ -166,6 +212,11 @@ __all__ = [
     "hexagon",
     "hollow",
     "image",
+    "gyroid",
+    "helix",
+    "hexagonal_prism",
+    "icosahedron",
+    "infinite_cone",
     "intersection",
     "lathe",
     "left",
@@ -174,12 +225,16 @@ __all__ = [
     "load_grid",
     "load_neural",
     "loft",
+    "lens",
+    "link",
     "mesh",
     "mirror",
     "moon",
     "morph",
     "negate",
     "octagon",
+    "neovius",
+    "octahedron",
     "offset",
     "onion",
     "orient",
@@ -194,6 +249,11 @@ __all__ = [
     "regular_polygon",
     "repeat",
     "revolve",
+    "prism",
+    "pyramid",
+    "quad",
+    "rhombic_dodecahedron",
+    "rhombic_triacontahedron",
     "rhombus",
     "right",
     "ring",
@@ -229,4 +289,18 @@ __all__ = [
     "uneven_capsule",
     "union",
     "vesica",
+    "rounded_cone",
+    "rounded_cylinder",
+    "schwarz_d",
+    "schwarz_p",
+    "sector",
+    "slab",
+    "solid_angle",
+    "superellipsoid",
+    "tetrahedron",
+    "thread",
+    "torus_knot",
+    "triangular_prism",
+    "tube",
+    "wedge",
 ]

@@ -65,7 +65,7 @@ History: TypeAlias = "Call | Opaque"
 
 
 def literal(value: object) -> Literal:
-    """A value as it will be written: numbers as floats, arrays as tuples.
+    """A value as it will be written: numbers as floats, arrays as tuples, flags as they are.
 
     Takes a copy, so that a later change of an array does not change the record.
     """

@@ -4,7 +4,7 @@ A profile is a body whose formula does not depend on z. Below, a is its formula,
 shape in the plane, L its Lipschitz bound, and rho the largest distance from the origin to a corner
 of its bounds. All of these solids end at z = -height/2 and height/2, and from there on the formula
 in the plane stays as it is at that end: so its z-derivative is zero where the distance to the end
-counts, and both can be put together as the distances of a box (`fields.distances`).
+counts, and both can be put together as the distances of a box (`fields.formulas`).
 
 Turning or scaling the plane with z adds to the gradient of a what a does along these motions, which
 for a distance is small however far out the point is: with q the nearest point of the surface and
@@ -25,7 +25,6 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from fields import arguments
-from fields.distances import box_distance
 from fields.errors import InputError
 from fields.expression import (
     Expression,
@@ -41,6 +40,7 @@ from fields.expression import (
     sin,
     square,
 )
+from fields.formulas import box_distance
 from fields.operations import Body, rule
 from fields.tags import EVERYWHERE, Box, Tags, hull, largest
 from fields.tape import Tape, coordinates_used

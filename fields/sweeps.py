@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fields import arguments
-from fields.distances import box_distance
 from fields.errors import InputError
 from fields.expression import (
     Coordinates,
@@ -26,6 +25,7 @@ from fields.expression import (
     remap,
     where_negative,
 )
+from fields.formulas import box_distance
 from fields.operations import Body, rule, shortest_turn
 from fields.solids import bounded_profile, checked_profile, reach_of
 from fields.tags import Box, Tags, largest

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fields import arguments
-from fields.distances import box_distance
 from fields.errors import InputError
 from fields.expression import Expression, X, Y, maximum, minimum, where_negative
+from fields.formulas import box_distance
 from fields.operations import Body
 from fields.primitives import primitive
 from fields.profiles.edges import edges_distance, open_edges

@@ -1,384 +1,328 @@
-"""Solids of profiles: volumes, shapes, tags, and what is refused."""
+"""What is special to single solids: values by hand, iterations, mirrors, bad parameters."""
 
 from __future__ import annotations
 
-import math
-from itertools import pairwise
+from itertools import product
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import fields as sdf
 from fields import InputError
-from fields.tags import grown
-from implicit_warp.extraction import extract
-from tests.fields.catalogue.profiles import FLOWER, L_SHAPE
+from fields.expression import X, Y
+from fields.formulas import folded_to_sector
+from fields.polyhedra import _icosahedral, _octahedral, _tetrahedral
+from fields.prisms import prism
+from tests.fields.catalogue.polyhedra import GEM, _cyclic
 
-PLUS = sdf.rectangle((1.6, 0.4)) | sdf.rectangle((0.4, 1.6))
-WEDGE = [(0.5, -0.6), (1.2, -0.3), (0.7, 0.6)]
-
-
-def area_and_centroid(corners) -> tuple[float, float]:
-    """The area of a polygon and the x of its centroid."""
-    x, y = np.array(corners, dtype=float).T
-    cross = x * np.roll(y, -1) - y * np.roll(x, -1)
-    area = cross.sum() / 2
-    return area, ((x + np.roll(x, -1)) * cross).sum() / (6 * area)
-
-
-WEDGE_AREA, WEDGE_X = area_and_centroid(WEDGE)
-
-
-def sampled_volume(field: sdf.Field, rng: np.random.Generator, count: int = 96) -> float:
-    """The part of its box that is inside, by one random point in each of 96^3 cells."""
-    low, high = field.bounds
-    cells = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = low + (cells + rng.uniform(0, 1, cells.shape)) * (high - low) / count
-    return float((field(points) < 0).mean() * np.prod(high - low))
+G = (1 + np.sqrt(5)) / 2
+BEND = [(0, 0, 0), (1, 0, 0), (1, 1, 0)]
 
 
 @pytest.mark.parametrize(
-    ("solid", "volume"),
+    ("field", "points", "values"),
     [
-        (sdf.polygon(L_SHAPE).extrude(1.2), 1.2 * area_and_centroid(L_SHAPE)[0]),
-        (sdf.polygon(FLOWER).extrude(1.2), 1.2 * area_and_centroid(FLOWER)[0]),
-        (PLUS.extrude(1.2), 1.2 * (2 * 1.6 * 0.4 - 0.16)),
-        (sdf.polygon(L_SHAPE).twist_extrude(1.2, 70), 1.2 * area_and_centroid(L_SHAPE)[0]),
-        (PLUS.twist_extrude(1.2, 70), 1.2 * (2 * 1.6 * 0.4 - 0.16)),
-        # The mean of the squared scale of 1 to t is (1 + t + t^2) / 3.
-        (sdf.rectangle(2).taper_extrude(1.5, 0.5), 4 * 1.5 * (1 + 0.5 + 0.25) / 3),
-        (PLUS.twist_extrude(1.5, 70, top=2), 1.5 * (2 * 1.6 * 0.4 - 0.16) * 7 / 3),
-        # The means of two concentric circles' distances are those of the circles between.
-        (sdf.circle(1).extrude_to(sdf.circle(0.4), 2), 2 * np.pi * (1 + 0.4 + 0.16) / 3),
-        (
-            sdf.circle(1).loft(sdf.circle(0.4), sdf.circle(0.8), heights=(-1, 0, 2)),
-            np.pi / 3 * ((1 + 0.4 + 0.16) + 2 * (0.16 + 0.32 + 0.64)),
-        ),
-        # Pappus: the area times the way of its centroid.
-        (sdf.circle(0.3).revolve(0.8), np.pi * 0.09 * 2 * np.pi * 0.8),
-        (sdf.polygon(WEDGE).revolve(), WEDGE_AREA * 2 * np.pi * WEDGE_X),
-        (sdf.polygon(WEDGE).revolve(0.3), WEDGE_AREA * 2 * np.pi * (WEDGE_X + 0.3)),
-        (sdf.polygon(WEDGE).revolve(degrees=130), WEDGE_AREA * np.radians(130) * WEDGE_X),
-        (sdf.polygon(WEDGE).revolve(degrees=280), WEDGE_AREA * np.radians(280) * WEDGE_X),
-        (sdf.rectangle((1.6, 1.1)).revolve(), np.pi * 0.64 * 1.1),
-        (sdf.rectangle((1.6, 1.1)).revolve(degrees=90), np.pi * 0.64 * 1.1 / 4),
-        (sdf.polygon([(0, -0.8), (0.9, -0.5), (0, 0.8)]).revolve(), np.pi * 0.81 * 1.6 / 3),
-        # Over whole turns every half-plane has the section once a turn.
-        (sdf.rectangle((0.4, 0.2)).coil(0.9, 0.5, 3), 0.08 * 2 * np.pi * 0.9 * 3),
-        (sdf.polygon(WEDGE).coil(0.2, -1.5, 2), WEDGE_AREA * 2 * np.pi * (WEDGE_X + 0.2) * 2),
-        # A mitred sweep of a shape centred on the path has the volume of the straight one.
-        (
-            sdf.rectangle((0.5, 0.3)).sweep(
-                [(0, 0, 0), (1.5, 0, 0), (1.5, 1.5, 0), (1.5, 1.5, 1.5)]
-            ),
-            0.15 * 4.5,
-        ),
-        (sdf.circle(0.2).sweep([(0, 0, 0), (0, 1, 1), (0, 2, 1)]), np.pi * 0.04 * (1 + 2**0.5)),
-        (sdf.lathe([(0.5, -1), (1, 0), (0.5, 1)]), 2 * np.pi / 3 * (1 + 0.5 + 0.25)),
-    ],
-    ids=lambda value: repr(value)[:60] if isinstance(value, sdf.Field) else "",
-)
-def test_volumes_are_those_of_the_formulas(solid, volume, rng):
-    # Only cells on the surface are left to chance: some 6 * 96^2 of them, half a cell each with
-    # a standard deviation of sqrt(6 * 96^2) / 2 = 118 cells, of 20,000 and more that are inside.
-    assert sampled_volume(solid, rng) == pytest.approx(volume, rel=0.01)
-
-
-def test_an_extrusion_is_the_solid_of_the_same_name(rng):
-    points = rng.uniform(-2, 2, (2_000, 3))
-    for profile, solid in (
-        (sdf.rectangle((1, 2)).extrude(0.5), sdf.box((1, 2, 0.5))),
-        (sdf.circle(0.7).extrude(1.5), sdf.cylinder(0.7, 1.5)),
-        (sdf.circle(0.3).revolve(1), sdf.torus(1, 0.3)),
-        (sdf.circle(0.9).revolve(), sdf.sphere(0.9)),
-        (sdf.rectangle((1.4, 1.5)).revolve(), sdf.cylinder(0.7, 1.5)),
-        (sdf.triangle(1.6, 1.6).revolve(), sdf.cone(0.8, 1.6)),
-        (sdf.circle(0.4).sweep([(0, 0, -1), (0, 0, 1)]), sdf.cylinder(0.4, 2)),
-    ):
-        assert profile.exact
-        np.testing.assert_allclose(profile(points), solid(points), atol=1e-14)
-        np.testing.assert_allclose(profile.bounds, solid.bounds, atol=1e-15)
-
-
-def test_the_ends_of_a_loft_are_its_profiles_and_twists_turn_them(rng):
-    points = rng.uniform(-1.5, 1.5, (2_000, 3))
-    base, top = sdf.rectangle((1.6, 0.6)), sdf.star(5, 1, 0.4)
-    solid = base.extrude_to(top, 2)
-    twisted = base.twist_extrude(2, 90, top=0.5)
-    for height, profile in ((-1, base), (1, top)):
-        at = points * (1, 1, 0) + (0, 0, height * (1 - 1e-12))
-        np.testing.assert_array_equal(solid(at) < 0, profile(at) < 0)
-    for height, profile in ((-1, base.rotate(-45)), (1, base.scale(0.5).rotate(45))):
-        at = points * (1, 1, 0) + (0, 0, height * (1 - 1e-12))
-        np.testing.assert_array_equal(twisted(at) < 0, profile(at) < 0)
-
-
-def test_smooth_easing_leaves_profiles_without_a_crease():
-    parts = (sdf.circle(1), sdf.circle(0.5))
-    slopes = {
-        ease: parts[0].extrude_to(parts[1], 2, ease).gradient((1.001, 0, -1 + 1e-6))[2]
-        for ease in ("linear", "smooth")
-    }
-    assert slopes["linear"] == pytest.approx(0.25)
-    assert abs(slopes["smooth"]) < 1e-5
-
-
-# --- tags ---
-
-
-@pytest.mark.parametrize("degrees_a_unit", [0, 90, 360])
-def test_the_bound_of_a_twist_is_reached_and_not_passed(degrees_a_unit, rng):
-    """sqrt(1 + k^2 rho^2); with a plate of 2 x 0.2 and k = 2 pi it is 6.39."""
-    plate = sdf.rectangle((2, 0.2)).twist_extrude(4, 4 * degrees_a_unit)
-    expected = math.hypot(1, np.radians(degrees_a_unit) * math.hypot(1, 0.1))
-    assert plate.lipschitz == pytest.approx(expected, rel=1e-14)
-    points = rng.uniform((-1.2, -1.2, -1.9), (1.2, 1.2, 1.9), (100_000, 3))
-    steepest = np.linalg.norm(plate.gradient(points), axis=1).max()
-    assert 0.97 * expected < steepest <= expected + 1e-12
-    far = rng.uniform(-50, 50, (10_000, 3))  # the bound holds everywhere
-    assert np.linalg.norm(plate.gradient(far), axis=1).max() <= expected + 1e-12
-
-
-@pytest.mark.parametrize(
-    "solid",
-    [
-        PLUS.twist_extrude(2, 300),
-        PLUS.taper_extrude(2, 3),
-        PLUS.twist_extrude(2, 300, top=0.2),
-        PLUS.translate((0.5, 0.2, 0)).extrude_to(sdf.circle(0.1), 0.7),
-        sdf.rectangle(1).taper_extrude(0.5, 3),
-        sdf.star(7, 1, 0.3).extrude_to(sdf.circle(0.1), 0.2, "smooth"),
-        sdf.rectangle((0.4, 0.2)).sweep([(0, 0, 0), (2, 0, 0), (1, 1.5, 0), (0, 0, 1)]),
-        sdf.circle(0.2).coil(0.5, 2, 3),
-    ],
-    ids=repr,
-)
-def test_bounds_on_slope_and_growth_hold_far_away(solid, rng):
-    """The laws of the catalogue look within 4 of the origin; these look within 100."""
-    for size in (1, 10, 100):
-        points = rng.uniform(-size, size, (20_000, 3))
-        norm = np.linalg.norm(solid.gradient(points), axis=1)
-        assert norm.max() <= solid.lipschitz + 1e-11
-        other = points + rng.normal(size=points.shape) * 10 ** rng.uniform(-2, 1, (20_000, 1))
-        change = np.abs(solid(points) - solid(other))
-        assert (change <= solid.lipschitz * np.linalg.norm(points - other, axis=1) + 1e-11).all()
-        tags = solid._body.tags
-        for level in (0.1, 1.0, 10.0):
-            within = points[solid(points) <= level]
-            extent = grown(tags.extent, tags.growth * level + 1e-11)
-            assert ((within >= extent[0]) & (within <= extent[1])).all()
-
-
-def test_the_bound_of_a_loft_is_close(rng):
-    """It is the true largest difference and what it may rise between 129 samples a side."""
-    solid = sdf.circle(1).extrude_to(sdf.circle(0.4), 1)
-    assert math.hypot(1, 0.6) <= solid.lipschitz < math.hypot(1, 0.63)
-
-
-def test_what_is_not_known_of_a_profile_is_not_known_of_its_solid():
-    box = ((-0.5, -0.4, -1), (0.5, 0.4, 1))
-    known = sdf.sphere(0.4).remap(lambda p: p, lipschitz=2, bounds=box).slice(0)
-    steep = sdf.sphere(0.4).remap(lambda p: p, bounds=box, growth=3).slice(0)
-    circle, path = sdf.circle(0.2), [(0, 0, 0), (0, 0, 4), (0, 4, 4)]
-    for profile, lipschitz, growths in (
-        # A confined field has growth 1 about its disc, whatever it was; other solids need its own.
-        (known, True, (None, 1.0, 1.0, None, None)),
-        (steep, False, (3.0, 3 * math.sqrt(2), 3.0, 3.0, 5 * math.sqrt(2))),
-    ):
-        solids = (
-            profile.extrude(1),
-            profile.twist_extrude(1, 90),
-            profile.taper_extrude(1, 0.5),
-            profile.extrude_to(circle, 1),
-            profile.sweep(path),
-        )
-        for solid, growth in zip(solids, growths, strict=True):
-            assert (solid.lipschitz is not None) is lipschitz
-            assert solid.bounds is not None
-            assert solid._body.tags.growth == (growth and pytest.approx(growth))
-    np.testing.assert_allclose(known.taper_extrude(1, 0.5).bounds[1, 0], math.hypot(0.5, 0.4))
-    np.testing.assert_allclose(steep.taper_extrude(1, 0.5).bounds[1, 0], 0.5)
-
-
-@pytest.mark.parametrize(
-    ("solid", "exact"),
-    [
-        (sdf.circle(1).extrude(1), True),
-        (PLUS.extrude(1), False),
-        (sdf.circle(1).twist_extrude(1, 10), False),
-        (sdf.circle(1).taper_extrude(1, 0.5), False),
-        (sdf.circle(1).extrude_to(sdf.circle(1), 1), False),
-        (sdf.polygon(WEDGE).revolve(), True),
-        (sdf.polygon(WEDGE).revolve(degrees=90), True),
-        (sdf.polygon(WEDGE).revolve(-0.5), False),  # touches the axis in a corner
-        (sdf.polygon(WEDGE).revolve(-0.7), False),
-        (sdf.ellipse((1, 0.5)).revolve(), True),
-        (sdf.ellipse((1, 0.5)).revolve(0.1), False),
-        (sdf.ellipse((1, 0.5)).revolve(degrees=90), False),
-        (sdf.polygon([(-1, 0), (1, 0), (0, 1)]).revolve(), False),  # mirrored, but not by formula
-        (sdf.box(1).slice(0), False),
-        (sdf.circle(1).slice(5), True),
-        (sdf.circle(0.1).sweep([(0, 0, 0), (1, 0, 0)]), True),
-        (sdf.circle(0.1).sweep([(0, 0, 0), (1, 0, 0), (2, 1, 0)]), False),
+        (sdf.octahedron(1), [(0, 0, 0), (2, 0, 0), (1, 1, 0)], [-1 / 3**0.5, 1, 0.5**0.5]),
+        (sdf.tetrahedron(3), [(0, 0, 0), (-3, -3, -3)], [-1, np.sqrt(27) - 1]),
+        (sdf.pyramid(2, 1), [(0, 0, -1.5), (0, 0, 1.5), (4, 5, -0.5)], [1, 1, 5]),
+        (sdf.prism(4, np.sqrt(2), 2), [(0, 0, 3), (0, 0, 0), (2, 2, 0)], [2, -1, 2 * 2**0.5 - 1]),
+        (sdf.hexagonal_prism(2, 4), [(0, 3, 0), (0, 0, 0)], [2, -1]),
+        (sdf.triangular_prism(2, 9), [(-2, 0, 0), (0, 0, 0)], [2 - 1 / 3**0.5, -1 / 3**0.5]),
+        (sdf.slab(z0=1), [(5, 5, 0), (0, 0, 3)], [1, -2]),
+        (sdf.slab(x1=0, y0=0), [(3, -4, 9), (-1, 2, 0)], [5, -1]),
+        (sdf.wedge(2, 2, 2), [(0, 0, 0), (0, -3, -1), (1, 0, 1)], [0, 2, 2**0.5]),
+        (sdf.tube(2, 1, 2), [(0, 0, 0), (1.5, 0, 0), (0, 0, 2)], [1, -0.5, 2**0.5]),
+        (sdf.sector(2, 90, 2), [(-3, 0, 0), (1, 1, 0), (5, 0, 0)], [3, 0, 3]),
+        (sdf.box_frame(2, 0.5), [(0, 0, 0), (1, 1, 1), (0.75, 0.75, 0)], [0.5**0.5, 0, -0.25]),
+        (sdf.infinite_cone(90), [(0, 0, -2), (0, 0, 2), (2, 0, 0)], [2, -(2**0.5), 2**0.5]),
+        (sdf.capped_cone((0, 0, 0), (0, 0, 2), 1, 1), [(0, 0, 3), (4, 0, 6)], [1, 5]),
+        (sdf.rounded_cone((0, 0, 0), (0, 0, 5), 3, 1), [(0, 0, 8), (0, 0, -5)], [2, 2]),
+        (sdf.solid_angle(2, 60), [(0, 0, 3), (0, 0, -1), (0, 0, 1)], [1, 1, -0.5]),
+        (sdf.cut_sphere(5, 3), [(0, 0, 0), (4, 0, 0), (0, 0, 4), (8, 0, 0)], [3, 3, -1, 5]),
+        (sdf.cut_hollow_sphere(5, 3, 2), [(0, 0, 0), (0, 0, -5), (4, 0, 5)], [4, -1, 1]),
+        (sdf.death_star(5, 5, 6), [(0, 0, 6), (0, 0, 0), (0, 0, -6), (4, 0, 3)], [5, -1, 1, 0]),
+        (sdf.lens(8, 4), [(0, 0, 3), (7, 0, 0), (0, 0, 0)], [1, 3, -2]),
+        (sdf.vesica(8, 4), [(0, 0, 5), (4, 0, 0), (0, 0, 0)], [1, 2, -2]),
+        (sdf.egg(2, 1, 2), [(0, 0, 4), (0, 0, -3), (3, 0, 0)], [1, 1, 1]),
+        (sdf.ellipsoid((3, 2, 1), exact=True), [(0, 0, 0), (4, 0, 0), (0, 0, 3)], [-1, 1, 2]),
+        (sdf.ellipsoid((3, 2, 1)), [(0, 0, 0), (6, 0, 0)], [-1, 1]),
+        (sdf.superellipsoid(1, 1), [(0, 0, 0), (2, 0, 0), (1, 1, 1)], [-1, 1, 2]),
+        (sdf.capped_torus(3, 1, 180), [(3, 0, 0), (-2, 3, 0), (5, 0, 0)], [-1, 1, 1]),
+        (sdf.link(4, 2, 1), [(0, 2, 0), (5, 0, 0), (0, 0, 0)], [-1, 0, 1]),
+        (sdf.polyline([(0, 0, 0), (4, 0, 0), (4, 4, 0)], 1), [(4, 6, 0), (2, 2, 0)], [1, 1]),
+        (sdf.triangle((0, 0, 0), (4, 0, 0), (0, 4, 0), 2), [(1, 1, 3), (-2, 1, 0)], [2, 1]),
+        (sdf.bezier((-1, 1, 0), (0, -1, 0), (1, 1, 0), 0.1), [(0, -1, 0), (0, 0, 2)], [0.9, 1.9]),
+        (sdf.helix(2, 0.5, 3, 4), [(2, 0, 0), (2, 0, 3), (0, 0, 0)], [-0.5, -0.5, 1.5]),
+        (sdf.thread(8, 1.25, 10), [(0, 0, 7), (6, 0, 0)], [2, 2]),
+        (sdf.torus_knot(1, 1, 4, 1, 0.5), [(5, 0, 0), (-3, 0, 0)], [-0.5, -0.5]),
+        (sdf.gyroid(1), [(0, 0, 0)], [0]),
+        (sdf.schwarz_p(2 * np.pi), [(0, 0, 0), (np.pi,) * 3], [3**0.5, -(3**0.5)]),
     ],
     ids=lambda value: repr(value) if isinstance(value, sdf.Field) else "",
-)
-def test_the_exact_tag(solid, exact):
-    assert solid.exact is exact
+)  # fmt: skip
+def test_values_worked_out_by_hand(field, points, values):
+    np.testing.assert_allclose(field(points), values, atol=1e-12)
+
+
+# --- mirrors ---
+
+
+@pytest.mark.parametrize("sides", [3, 4, 5, 6, 7, 12, 17, 64])
+def test_a_fold_ends_in_one_sector_and_is_a_symmetry(sides, rng):
+    points = rng.normal(size=(2000, 3))
+    u, v = (sdf.Field(part)(points) for part in folded_to_sector(X, Y, sides))
+    angle = np.arctan2(v, u)
+    assert (angle >= -1e-12).all()
+    assert (angle <= np.pi / sides + 1e-12).all()
+    np.testing.assert_allclose(np.hypot(u, v), np.hypot(*points.T[:2]))
+    # The angle from the nearest multiple of the sector is all that a mirror group keeps.
+    whole = np.arctan2(points[:, 1], points[:, 0])
+    step = 2 * np.pi / sides
+    np.testing.assert_allclose(angle, np.abs(whole - step * np.rint(whole / step)), atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("solid", "bounds"),
+    ("chamber", "mirrors", "order"),
     [
-        (sdf.rectangle((2, 1)).extrude(3), [[-1, -0.5, -1.5], [1, 0.5, 1.5]]),
-        (sdf.rectangle((2, 1)).taper_extrude(3, 2), [[-2, -1, -1.5], [2, 1, 1.5]]),
-        (sdf.rectangle((6, 8)).twist_extrude(3, 9), [[-5, -5, -1.5], [5, 5, 1.5]]),
-        (sdf.circle(1).loft(sdf.circle(2), heights=(3, 7)), [[-2, -2, 3], [2, 2, 7]]),
-        (sdf.circle(1).revolve(2), [[-3, -3, -1], [3, 3, 1]]),
-        (sdf.circle(1).revolve(2, 90), [[0, 0, -1], [3, 3, 1]]),
-        (sdf.circle(1).revolve(2, 180), [[-3, 0, -1], [3, 3, 1]]),
-        (sdf.circle(1).revolve(2, 60), [[0.5, 0, -1], [3, 3 * 0.75**0.5, 1]]),
-        (sdf.circle(1).revolve(0, 90), [[0, 0, -1], [1, 1, 1]]),
-        (sdf.circle(1).coil(3, 2, 5), [[-4, -4, -5], [4, 4, 5]]),
-        (sdf.circle(1).sweep([(0, 0, 0), (0, 0, 9)]), [[-1, -1, 0], [1, 1, 9]]),
-        (sdf.circle(1).sweep([(0, 0, 0), (0, 0, 9), (0, 9, 9)]), [[-1, -1, 0], [1, 9, 10]]),
-        (sdf.strip(1).extrude(1), None),
-        (sdf.sphere(1).slice(0), None),
+        (_octahedral, [*np.eye(3), *_cyclic(0, 1, 1)], 48),
+        (_tetrahedral, [*_cyclic(0, 1, 1)], 24),
+        (_icosahedral, [*np.eye(3), *_cyclic(G, 1, 1 / G)], 120),
     ],
-    ids=lambda value: repr(value) if isinstance(value, sdf.Field) else "",
 )
-def test_the_bounds_tag(solid, bounds):
-    if bounds is None:
-        assert solid.bounds is None
-    else:
-        np.testing.assert_allclose(solid.bounds, bounds, atol=1e-14)
+def test_mirrors_leave_one_chamber(chamber, mirrors, order, rng):
+    points = rng.normal(size=(20_000, 3))
+    image = np.stack([sdf.Field(part)(points) for part in chamber().point], axis=1)
+    np.testing.assert_allclose(
+        np.linalg.norm(image, axis=1), np.linalg.norm(points, axis=1), rtol=1e-12
+    )
+    sides = np.sign(image @ np.transpose(mirrors))
+    assert len(np.unique(sides, axis=0)) == 1
+    assert len(np.unique(np.sign(points @ np.transpose(mirrors)), axis=0)) == order
+    # Points that a reflection of the group exchanges have one image.
+    for mirror in np.array(mirrors) / np.linalg.norm(mirrors, axis=1, keepdims=True):
+        other = points - 2 * (points @ mirror)[:, None] * mirror
+        again = np.stack([sdf.Field(part)(other) for part in chamber().point], axis=1)
+        np.testing.assert_allclose(again, image, atol=1e-12)
 
 
-def test_a_slice_is_what_the_plane_cuts(rng):
-    solid = (sdf.sphere(1) - sdf.box(0.9)).rotate(20, (1, 2, 3))
-    points = rng.uniform(-1, 1, (2_000, 3))
-    cut = solid.slice(0.3)
-    np.testing.assert_array_equal(cut(points), solid(points * (1, 1, 0) + (0, 0, 0.3)))
-    assert cut.extrude(0.5).bounds is not None
-    np.testing.assert_allclose(cut._body.tags.extent[:, :2], solid.bounds[:, :2])
+# --- one solid by two formulas ---
 
 
-def test_no_surface_is_left_on_the_axis_or_at_joints(rng):
-    """Inside a solid no value is zero: on the axis of a lathe work, in the plane of a joint."""
-    cone = sdf.polygon([(0, -0.8), (0.9, -0.5), (0, 0.8)]).revolve()
-    axis = np.column_stack([np.zeros((200, 2)), np.linspace(-0.7, 0.7, 200)])
-    assert (cone(axis) < 0).all()
-    bent = sdf.rectangle((0.5, 0.3)).sweep([(0, 0, 0), (2, 0, 0), (2, 2, 0), (2, 2, 2)])
-    path = np.array([(0, 0, 0), (2, 0, 0), (2, 2, 0), (2, 2, 2)], dtype=float)
-    along = np.concatenate([np.linspace(a, b, 101) for a, b in pairwise(path)])
-    ends = np.linalg.norm(along[:, None] - path[[0, -1]], axis=-1).min(axis=1)
-    np.testing.assert_allclose(bent(along), -np.minimum(0.15, ends), atol=1e-15)
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (sdf.slab(-1, -2, 0, 1, 1, 0.5), sdf.box((2, 3, 0.5), center=(0, -0.5, 0.25))),
+        (sdf.prism(4, 1, 2), sdf.box((2**0.5, 2**0.5, 2)).rotate(45)),
+        (sdf.rhombus(2, 2, 1), sdf.prism(4, 1, 1)),
+        (sdf.wedge(1, 2, 3, top=1), sdf.box((1, 2, 3))),
+        (sdf.capped_cone((0, 0, -1), (0, 0, 1), 0.6, 0.6), sdf.cylinder(0.6, 2)),
+        (sdf.capped_cone((0, 0, 1), (0, 0, -1), 0, 0.6), sdf.cone(0.6, 2)),
+        (sdf.rounded_cone((1, 0, 0), (0, 1, 2), 0.4, 0.4), sdf.capsule((1, 0, 0), (0, 1, 2), 0.4)),
+        (sdf.polyline([(1, 0, 0), (0, 1, 2)], 0.4), sdf.capsule((1, 0, 0), (0, 1, 2), 0.4)),
+        (sdf.bezier((0, 0, 0), (1, 0, 1), (2, 0, 2), 0.4), sdf.capsule((0, 0, 0), (2, 0, 2), 0.4)),
+        (sdf.bezier((0, 0, 0), (2, 0, 0), (0, 0, 0), 0.4), sdf.capsule((0, 0, 0), (1, 0, 0), 0.4)),
+        (sdf.convex_hull(list(product((-1, 1), (-0.5, 0.5), (-2, 2)))), sdf.box((2, 1, 4))),
+        (sdf.octahedron(1), sdf.convex_hull([*np.eye(3), *-np.eye(3)])),
+        (sdf.ellipsoid(1.2, exact=True), sdf.sphere(1.2)),
+        (sdf.superellipsoid((1.5, 1, 0.5), 2), sdf.ellipsoid((1.5, 1, 0.5))),
+        (sdf.infinite_cone(180), sdf.above(0)),
+        (sdf.solid_angle(1.0, 180), sdf.cut_sphere(1.0, 0.0)),
+        (sdf.helix(1, 0.2, 1e-9, 0.5), sdf.capped_torus(1, 0.2, 180)),
+    ],
+    ids=lambda value: repr(value)[:40],
+)  # fmt: skip
+def test_two_formulas_agree(one, other, cloud):
+    np.testing.assert_allclose(one(cloud), other(cloud), atol=1e-9)
 
 
-def test_a_sweep_keeps_the_profile_through_joints(rng):
-    """Half-way along every segment the section is the profile, turned as the frames say."""
-    path = np.array([(0, 0, 0), (0, 0, 3), (3, 0, 3), (3, 3, 3)], dtype=float)
-    profile = sdf.triangle(0.8, 0.5)
-    swept = profile.sweep(path)
-    frames = [
-        ((1, 0, 0), (0, 1, 0)),  # along z
-        ((0, 0, -1), (0, 1, 0)),  # turned about y
-        ((0, 0, -1), (-1, 0, 0)),  # turned about z
-    ]
-    u, v = rng.uniform(-0.6, 0.6, (2, 500, 1))
-    for i, (x, y) in enumerate(frames):
-        middle = (path[i] + path[i + 1]) / 2
-        at = middle + u * np.array(x) + v * np.array(y)
-        section = profile(np.column_stack([u, v, np.zeros(500)]))
-        np.testing.assert_allclose(swept(at), section, atol=1e-14)
+def test_a_gauge_of_exponent_infinity_would_be_a_box(cloud):
+    near = sdf.superellipsoid((1.0, 0.8, 0.6), 400)
+    clear = np.abs(sdf.box((2.0, 1.6, 1.2))(cloud)) > 0.01
+    box = sdf.box((2.0, 1.6, 1.2))(cloud)
+    np.testing.assert_array_equal(near(cloud)[clear] < 0, box[clear] < 0)
+    assert np.isfinite(near(cloud.astype(np.float32))).all()
 
 
-def test_coils_are_handed(rng):
-    """A quarter of a turn on, a right-handed coil is a quarter of its pitch higher."""
-    for pitch in (1.0, -1.0):
-        spring = sdf.circle(0.2).coil(1, pitch, 4)
-        angle = rng.uniform(-np.pi, np.pi, 500)
-        height = pitch * angle / (2 * np.pi)
-        on_path = np.stack([np.cos(angle), np.sin(angle), height], axis=1)
-        np.testing.assert_allclose(spring(on_path), -0.2, atol=1e-12)
+# --- iterations ---
 
 
-# --- meshes ---
+def _by_bisection(p, r):
+    """The distance to an ellipsoid by Lagrange's multiplier and Brent's method."""
+
+    def excess(t):
+        return np.sum((r * p / (t + r**2)) ** 2) - 1
+
+    low = np.max(r * np.abs(p) - r**2)
+    t = brentq(excess, low, np.linalg.norm(r * p), xtol=1e-15) if excess(low) > 0 else low
+    return t * np.linalg.norm(p / (t + r**2))
 
 
-def test_a_twisted_plate_has_no_holes_and_its_volume():
-    """2 x 0.2 x 1 at one turn a unit, where fields that pass for distances get holes.
-
-    Pruned by the Lipschitz bound, and again without a bound: the same mesh. Marching cubes bevels
-    edges, with an error of second order in the voxel; the volume extrapolated from two is 0.4.
-    """
-    plate = sdf.rectangle((2, 0.2)).twist_extrude(1, 360)
-    unpruned = sdf.Field(plate.expression, bounds=plate.bounds)
-    volumes = []
-    for resolution in (96, 144):
-        mesh = extract(plate, resolution)
-        assert mesh.is_watertight
-        assert mesh.euler_number == 2
-        volumes.append(mesh.volume)
-        if resolution == 96:
-            np.testing.assert_array_equal(extract(unpruned, resolution).vertices, mesh.vertices)
-    ratio = (144 / 96) ** 2
-    limit = (ratio * volumes[1] - volumes[0]) / (ratio - 1)
-    assert limit == pytest.approx(0.4, rel=0.003)
+@pytest.mark.parametrize("radii", [(1, 1, 3), (1, 10, 100), (2, 1, 1000), (1, 1.001, 1.002)])
+def test_the_exact_ellipsoid_at_any_ratio(radii, rng):
+    r = np.array(radii, float)
+    points = np.concatenate(
+        [
+            rng.uniform(-2, 2, (100, 3)) * r,
+            rng.normal(size=(200, 3)) * r * 10 ** rng.uniform(-3, 0, (200, 3)),
+        ]
+    )
+    expected = [_by_bisection(p, r) for p in points]
+    found = sdf.ellipsoid(radii, exact=True)(points)
+    np.testing.assert_allclose(found, expected, atol=1e-12 * r.max())
 
 
-@pytest.mark.slow
-def test_a_twisted_plate_at_full_length():
-    """The plate of 2 x 0.2 x 4, true volume 1.6, at 448 voxels along it."""
-    mesh = extract(sdf.rectangle((2, 0.2)).twist_extrude(4, 4 * 360), 448)
-    assert mesh.is_watertight
-    assert mesh.euler_number == 2
-    assert mesh.volume == pytest.approx(1.6, rel=0.004)
+def test_the_exact_ellipsoid_where_two_points_are_nearest():
+    """In the middle plane, inside the curve of centres, the multiplier is at its pole."""
+    a, b = 1.5, 0.5
+    x = np.linspace(0, (a**2 - b**2) / a, 50)
+    # The foot has x a^2 / (a^2 - b^2); the ellipse's equation gives the rest.
+    foot = x * a**2 / (a**2 - b**2)
+    expected = -np.hypot(foot - x, b * np.sqrt(np.maximum(1 - (foot / a) ** 2, 0)))
+    points = np.stack([x, 0 * x, 0 * x], axis=1)
+    field = sdf.ellipsoid((a, 1.0, b), exact=True)
+    np.testing.assert_allclose(field(points), expected, atol=1e-11)
 
 
-# --- errors ---
+def test_a_helix_against_dense_points_of_it(rng):
+    """All regimes: flat and steep, a part of a turn and many, near the axis and far away."""
+    for pitch, turns in ((0.3, 3.0), (6.0, 1.0), (2.0, 0.3), (40.0, 0.5), (6.5, 2.5)):
+        t = np.pi * turns * np.linspace(-1, 1, 60_001)
+        curve = np.stack([np.cos(t), np.sin(t), pitch * t / (2 * np.pi)], axis=1)
+        points = rng.uniform(-1, 1, (60, 3)) * [3, 3, pitch * turns + 1]
+        points[::4, :2] *= 0.01
+        nearest = np.sqrt([((curve - p) ** 2).sum(axis=1).min() for p in points])
+        found = sdf.helix(1.0, 0.1, pitch, turns)(points) + 0.1
+        step = np.linalg.norm(curve[1] - curve[0])
+        assert (found <= nearest + 1e-12).all()
+        assert (np.sqrt(found**2 + step**2) >= nearest - 1e-12).all()
+
+
+def test_a_curve_against_dense_points_of_it(rng):
+    t = np.linspace(0, 1, 60_001)
+    weights = np.stack([(1 - t) ** 2, 2 * t * (1 - t), t**2], axis=1)
+    for scale in (1.0, 1e-3, 1e-7, 1e-11):
+        corners = np.array([(-1, 0, 0), (0.2, 0, 0), (1, 0, 0)]) + scale * rng.normal(size=(3, 3))
+        points = rng.uniform(-2, 2, (60, 3))
+        curve = weights @ corners
+        nearest = np.sqrt([((curve - p) ** 2).sum(axis=1).min() for p in points])
+        found = sdf.bezier(*corners, 0.1)(points) + 0.1
+        assert (found <= nearest + 1e-9).all()
+        assert (np.sqrt(found**2 + 1e-8) >= nearest - 1e-9).all()
+
+
+# --- which are exact ---
+
+
+@pytest.mark.parametrize(
+    ("exact", "bound"),
+    [
+        (sdf.polyline(BEND[:2], 0.2), sdf.polyline(BEND, 0.2)),
+        (sdf.capped_torus(1, 0.2, 300), sdf.capped_torus(1, 0.6, 300)),
+        (sdf.cut_hollow_sphere(1, 0.8, 0.4), sdf.cut_hollow_sphere(1, 0.95, 0.8)),
+        (sdf.bezier(*BEND, 0.7), sdf.bezier(*BEND, 0.71)),
+        (sdf.helix(1, 0.2, 0.5, 3), sdf.helix(1, 0.26, 0.5, 3)),
+        (sdf.ellipsoid((1, 1, 2), exact=True), sdf.ellipsoid((1, 1, 2))),
+    ],
+    ids=lambda value: repr(value)[:30],
+)  # fmt: skip
+def test_tubes_are_exact_up_to_the_reach_of_their_curves(exact, bound):
+    assert exact.exact
+    assert not bound.exact
+    assert bound.lipschitz == 1
+
+
+# --- refusals ---
 
 
 @pytest.mark.parametrize(
     ("make", "argument", "cause"),
     [
-        (lambda: sdf.sphere(1).extrude(1), "field", "not a profile"),
-        (lambda: sdf.sphere(1).revolve(), "field", "not a profile"),
-        (lambda: sdf.box(1).sweep([(0, 0, 0), (0, 0, 1)]), "field", "not a profile"),
-        (lambda: sdf.circle(1).loft(sdf.box(1), heights=(0, 1)), "field", "not a profile"),
-        (lambda: sdf.circle(1).extrude(0), "height", "greater than zero"),
-        (lambda: sdf.strip(1).twist_extrude(1, 90), "field", "no bounds in x and y"),
-        (lambda: sdf.circle(1).negate().taper_extrude(1, 2), "field", "no bounds in x and y"),
-        (lambda: sdf.left(1).extrude_to(sdf.circle(1), 1), "field", "no bounds in x and y"),
-        (lambda: sdf.circle(1).taper_extrude(1, 0), "top", "greater than zero"),
-        (lambda: sdf.circle(1).twist_extrude(1, np.inf), "degrees", "finite"),
-        (lambda: sdf.circle(1).loft(heights=(0,)), "heights", "1 heights for 1 profiles"),
-        (lambda: sdf.circle(1).loft(sdf.circle(2), heights=(0, 1, 2)), "heights", "3 heights"),
-        (lambda: sdf.circle(1).loft(sdf.circle(2), heights=(1, 0)), "heights", "do not rise"),
-        (lambda: sdf.circle(1).extrude_to(sdf.circle(2), 1, "quick"), "ease", "no such easing"),
-        (lambda: sdf.circle(1).extrude_to(3, 1), "field", "takes fields"),
-        (lambda: sdf.circle(1).revolve(-1), "offset", "far side of the axis"),
-        (lambda: sdf.circle(1).revolve(2, 0), "degrees", "not within a turn"),
-        (lambda: sdf.circle(1).revolve(2, 361), "degrees", "not within a turn"),
-        (lambda: sdf.circle(1).coil(2, 0.9, 3), "pitch", "reaches 1 up or down"),
-        (lambda: sdf.circle(1).coil(1, 3, 3), "radius", "reaches the axis"),
-        (lambda: sdf.circle(1).coil(2, 3, 0), "turns", "greater than zero"),
-        (lambda: sdf.circle(1).remap(abs, lipschitz=1).coil(2, 3, 1), "field", "not a profile"),
-        (
-            lambda: sdf.sphere(1).remap(abs, bounds=[[-1] * 3, [1] * 3]).slice(0).coil(2, 3, 1),
-            "field",
-            "nothing is known of its values",
-        ),
-        (lambda: sdf.circle(1).sweep([(0, 0, 0)]), "points", "two or more"),
-        (lambda: sdf.circle(1).sweep([(0, 0, 0), (1, 0)]), "points", "two or more"),
-        (lambda: sdf.circle(1).sweep([(0, 0, 0), (0, 0, 0)]), "points", "are equal"),
-        (lambda: sdf.circle(1).sweep([(0, 0, 0), (9, 0, 0), (0, 1, 0)]), "points", "turns back"),
-        (lambda: sdf.circle(1).sweep([(0, 0, 0), (1, 0, 0), (1, 1, 0)]), "points", "segment 0"),
-        (lambda: sdf.sphere(1).slice("top"), "z", "real number"),
+        (lambda: sdf.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0)]), "points", "at least 4"),
+        (lambda: sdf.convex_hull([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)]), "points", "plane"),
+        (lambda: sdf.convex_hull([(0, 0, 0)] * 5), "points", "plane"),
+        (lambda: sdf.convex_hull(np.ones((99, 3))), "points", "more than 60"),
+        (lambda: sdf.convex_hull([(0, 0)] * 4), "points[0]", "three numbers"),
+        (lambda: sdf.pyramid(1, 0), "height", "greater than zero"),
+        (lambda: sdf.icosahedron(-1), "radius", "greater than zero"),
+        (lambda: sdf.prism(2, 1, 1), "sides", "at least 3"),
+        (lambda: sdf.prism(4.5, 1, 1), "sides", "whole number"),
+        (lambda: sdf.slab(), "x0", "all of space"),
+        (lambda: sdf.slab(y0=1, y1=1), "y1", "not above y0"),
+        (lambda: sdf.wedge(1, 1, 1, top=1.5), "top", "more than width"),
+        (lambda: sdf.tube(1, 1, 1), "inner", "no wall"),
+        (lambda: sdf.sector(1, 360, 1), "angle", "below 360"),
+        (lambda: sdf.box_frame(1, 0.5), "thickness", "no window"),
+        (lambda: sdf.rounded_cylinder(1, 1, 0.6), "rounding", "height / 2"),
+        (lambda: sdf.capped_cone((0, 0, 0), (0, 0, 0), 1, 1), "b", "equals a"),
+        (lambda: sdf.capped_cone((0, 0, 0), (0, 0, 1), 0, 0), "radius_b", "both radii"),
+        (lambda: sdf.rounded_cone((0, 0, 0), (0, 0, 1), 2, 1), "b", "holds the other"),
+        (lambda: sdf.cut_sphere(1, 1), "height", "below 1"),
+        (lambda: sdf.cut_hollow_sphere(1, 0, 2), "thickness", "below 2"),
+        (lambda: sdf.death_star(1, 1, 2), "distance", "do not cross"),
+        (lambda: sdf.death_star(3, 1, 1), "distance", "do not cross"),
+        (lambda: sdf.lens(1, 1), "thickness", "below 1"),
+        (lambda: sdf.vesica(1, 2), "width", "below 1"),
+        (lambda: sdf.egg(1, 1, 1), "top_radius", "below 1"),
+        (lambda: sdf.egg(1, 0.5, 0.5), "height", "lies in the lower"),
+        (lambda: sdf.ellipsoid((1, 0, 1)), "radii", "greater than zero"),
+        (lambda: sdf.ellipsoid(1, exact=1), "exact", "neither True nor False"),
+        (lambda: sdf.superellipsoid(1, 0.5), "exponent", "cusps"),
+        (lambda: sdf.superellipsoid(1, 2, vertical=0.9), "vertical", "cusps"),
+        (lambda: sdf.capped_torus(1, 1, 90), "minor", "closes the hole"),
+        (lambda: sdf.link(1, 1, 2), "minor", "closes the hole"),
+        (lambda: sdf.polyline([(0, 0, 0)], 1), "points", "at least 2"),
+        (lambda: sdf.polyline([(0, 0, 0), (1, 0, 0), (1, 0, 0)], 1), "points[2]", "one before"),
+        (lambda: sdf.triangle((0, 0, 0), (1, 1, 1), (2, 2, 2), 1), "c", "one line"),
+        (lambda: sdf.quad((0, 0, 0), (1, 0, 0), (1, 1, 1), (0, 1, 0), 1), "d", "one plane"),
+        (lambda: sdf.quad((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), 1), "d", "convex|one line"),
+        (lambda: sdf.bezier((1, 0, 0), (1, 0, 0), (1, 0, 0), 1), "c", "the same"),
+        (lambda: sdf.helix(1, 1, 1, 1), "tube", "below 1"),
+        (lambda: sdf.helix(1, 0.1, 1, 1, ends="square"), "ends", "round or flat"),
+        (lambda: sdf.helix(1, 0.1, 1, 1, hand=1), "hand", "right or left"),
+        (lambda: sdf.thread(1, 1, 5), "pitch", "deeper"),
+        (lambda: sdf.thread(8, 1, 5, starts=0), "starts", "at least 1"),
+        (lambda: sdf.torus_knot(2, 4, 1, 0.3, 0.1), "q", "divisor in common"),
+        (lambda: sdf.torus_knot(2, 3, 1, 0.8, 0.2), "tube", "closes"),
+        (lambda: sdf.gyroid(0), "cell", "greater than zero"),
+        (lambda: sdf.schwarz_d(1, thickness=-1), "thickness", "greater than zero"),
     ],
-)
-def test_bad_arguments_are_named(make, argument, cause):
+)  # fmt: skip
+def test_bad_parameters_are_named(make, argument, cause):
     with pytest.raises(InputError, match=cause) as caught:
         make()
     assert caught.value.argument == argument
     assert caught.value.remedy
+
+
+def test_a_hull_knows_only_its_corners():
+    """Points inside, twice, in faces and on edges change nothing but rounding."""
+    more = [*GEM, *GEM[:3], *(0.5 * GEM), (GEM[0] + GEM[1]) / 2]
+    found, expected = sdf.convex_hull(more), sdf.convex_hull(GEM)
+    assert len(found.tape) <= len(expected.tape) + 2
+    points = np.random.default_rng(1).normal(size=(500, 3)) * 2
+    np.testing.assert_allclose(found(points), expected(points), atol=1e-12)
+
+
+def test_flags_and_words_are_written_and_read():
+    for field, text in (
+        (sdf.ellipsoid((3, 2, 1), exact=True), "ellipsoid((3.0, 2.0, 1.0), exact=True)"),
+        (sdf.helix(1, 0.1, 1, 2, hand="left"), "helix(1.0, 0.1, 1.0, 2.0, hand='left')"),
+        (sdf.slab(z1=2), "slab(z1=2.0)"),
+        (prism(5, 1, 1), "prism(5.0, 1.0, 1.0)"),
+    ):
+        assert repr(field) == text
+        assert sdf.parse(text).expression is field.expression
+
+
+def test_the_gradients_of_lattices_are_within_their_bounds_but_not_far(rng):
+    points = rng.uniform(0, 1, (200_000, 3))
+    for make, least in ((sdf.gyroid, 0.99), (sdf.schwarz_p, 0.99), (sdf.schwarz_d, 0.99),
+                        (sdf.neovius, 0.97)):  # fmt: skip
+        steepest = np.linalg.norm(make(1.0).gradient(points), axis=1).max()
+        assert least < steepest <= 1 + 1e-12
+
+
+def test_a_lattice_has_the_bounds_of_what_it_fills():
+    assert sdf.gyroid(1.0, 0.1).bounds is None
+    np.testing.assert_array_equal((sdf.gyroid(1.0, 0.1) & sdf.box(2)).bounds, sdf.box(2).bounds)
