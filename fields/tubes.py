@@ -100,7 +100,7 @@ def _ring(first: str, major: object, second: str, minor: object) -> tuple[float,
 
 
 @primitive
-def polyline(points: ArrayLike, radius: float) -> Body:
+def polyline_tube(points: ArrayLike, radius: float) -> Body:
     """A tube along straight pieces with round ends and joints: capsules end to end.
 
     Exact outside, and a bound inside, as the pieces overlap at the joints. Exact inside too
@@ -138,7 +138,7 @@ def _segment_square(a: Matrix, b: Matrix) -> Expression:
 
 
 @primitive
-def triangle(a: ArrayLike, b: ArrayLike, c: ArrayLike, thickness: float) -> Body:
+def triangle_plate(a: ArrayLike, b: ArrayLike, c: ArrayLike, thickness: float) -> Body:
     """All points within thickness / 2 of a flat triangle: a plate with round edges.
 
     Args:
@@ -152,7 +152,7 @@ def triangle(a: ArrayLike, b: ArrayLike, c: ArrayLike, thickness: float) -> Body
 
 
 @primitive
-def quad(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, thickness: float) -> Body:
+def quad_plate(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, thickness: float) -> Body:
     """All points within thickness / 2 of a flat convex quadrilateral.
 
     Args:
@@ -204,7 +204,7 @@ STEEP = 1e-9
 
 
 @primitive
-def bezier(a: ArrayLike, b: ArrayLike, c: ArrayLike, radius: float) -> Body:
+def bezier_tube(a: ArrayLike, b: ArrayLike, c: ArrayLike, radius: float) -> Body:
     """A tube with round ends along a quadratic Bezier curve.
 
     Exact up to a radius equal to the least radius of curvature of the curve's parabola; above,

@@ -29,6 +29,8 @@ _HOME = {
     "Composition": "maps",
     "ElasticOptions": "elastic_solve",
     "FileFormatError": "errors",
+    "FitOptions": "fitting",
+    "FitReport": "fitting",
     "Handle": "handles",
     "InputError": "errors",
     "Map": "maps",
@@ -52,6 +54,7 @@ _HOME = {
     "elastic": "elastic_solve",
     "elastic_energy": "energy",
     "extract": "extraction",
+    "fit": "fitting",
     "hold": "handles",
     "load": "files",
     "load_handles": "handles",
@@ -83,6 +86,7 @@ if TYPE_CHECKING:
     from implicit_warp.evaluate import back_end
     from implicit_warp.extraction import extract
     from implicit_warp.files import load, save
+    from implicit_warp.fitting import FitOptions, FitReport, fit
     from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
     from implicit_warp.maps import Composition, Map
     from implicit_warp.push_forward import PushForwardReport, deform_mesh

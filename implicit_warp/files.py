@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -26,6 +26,10 @@ from implicit_warp.maps import Composition, Inverse, Map
 from implicit_warp.shear import Shear
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
+
+if TYPE_CHECKING:
+    from implicit_warp.elastic_solve import SolveReport
+    from implicit_warp.fitting import FitReport
 
 FORMAT = "implicit_warp.map"
 FORMAT_VERSION = 1
@@ -150,7 +154,8 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
             embeddings=map_.embeddings, frames=map_.frames, before=map_.before, after=map_.after
         )
         report = None if map_.report is None else map_.report.to_dict()
-        return {"kind": "warp", "tensors": names, "report": report}
+        kind = type(map_.report).__name__
+        return {"kind": "warp", "tensors": names, "report": report, "report_kind": kind}
     if isinstance(map_, TutteNet):
         names = store(
             frames_at_start=map_.frames_at_start,
@@ -188,10 +193,7 @@ def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map
     if kind == "affine":
         return Affine(parts["matrix"][:, :3].numpy(), parts["matrix"][:, 3].numpy())
     if kind == "warp":
-        from implicit_warp.elastic_solve import SolveReport
-
-        report = structure.get("report")
-        return Warp(**parts, report=None if report is None else SolveReport.from_dict(report))
+        return Warp(**parts, report=_report(structure))
     if kind == "tuttenet":
         start = parts.pop("frames_at_start")
         net = TutteNet(
@@ -212,6 +214,17 @@ def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map
             map_.frame = frame  # bit for bit, which making it from an axis again would not be
             return map_
     raise FileFormatError(f"unknown kind of map {kind!r}")
+
+
+def _report(structure: dict[str, Any]) -> SolveReport | FitReport | None:
+    if structure.get("report") is None:
+        return None
+    from implicit_warp.elastic_solve import SolveReport
+    from implicit_warp.fitting import FitReport
+
+    # Files written before there were fits do not say whose report it is.
+    fitted = structure.get("report_kind") == FitReport.__name__
+    return (FitReport if fitted else SolveReport).from_dict(structure["report"])
 
 
 _AXIAL: dict[type[AxialMap], tuple[str, ...]] = {

@@ -50,9 +50,10 @@ BEND = [(0, 0, 0), (1, 0, 0), (1, 1, 0)]
         (sdf.superellipsoid(1, 1), [(0, 0, 0), (2, 0, 0), (1, 1, 1)], [-1, 1, 2]),
         (sdf.capped_torus(3, 1, 180), [(3, 0, 0), (-2, 3, 0), (5, 0, 0)], [-1, 1, 1]),
         (sdf.link(4, 2, 1), [(0, 2, 0), (5, 0, 0), (0, 0, 0)], [-1, 0, 1]),
-        (sdf.polyline([(0, 0, 0), (4, 0, 0), (4, 4, 0)], 1), [(4, 6, 0), (2, 2, 0)], [1, 1]),
-        (sdf.triangle((0, 0, 0), (4, 0, 0), (0, 4, 0), 2), [(1, 1, 3), (-2, 1, 0)], [2, 1]),
-        (sdf.bezier((-1, 1, 0), (0, -1, 0), (1, 1, 0), 0.1), [(0, -1, 0), (0, 0, 2)], [0.9, 1.9]),
+        (sdf.polyline_tube([(0, 0, 0), (4, 0, 0), (4, 4, 0)], 1), [(4, 6, 0), (2, 2, 0)], [1, 1]),
+        (sdf.triangle_plate((0, 0, 0), (4, 0, 0), (0, 4, 0), 2), [(1, 1, 3), (-2, 1, 0)], [2, 1]),
+        (sdf.bezier_tube((-1, 1, 0), (0, -1, 0), (1, 1, 0), 0.1), [(0, -1, 0), (0, 0, 2)],
+         [0.9, 1.9]),
         (sdf.helix(2, 0.5, 3, 4), [(2, 0, 0), (2, 0, 3), (0, 0, 0)], [-0.5, -0.5, 1.5]),
         (sdf.thread(8, 1.25, 10), [(0, 0, 7), (6, 0, 0)], [2, 2]),
         (sdf.torus_knot(1, 1, 4, 1, 0.5), [(5, 0, 0), (-3, 0, 0)], [-0.5, -0.5]),
@@ -119,9 +120,11 @@ def test_mirrors_leave_one_chamber(chamber, mirrors, order, rng):
         (sdf.capped_cone((0, 0, -1), (0, 0, 1), 0.6, 0.6), sdf.cylinder(0.6, 2)),
         (sdf.capped_cone((0, 0, 1), (0, 0, -1), 0, 0.6), sdf.cone(0.6, 2)),
         (sdf.rounded_cone((1, 0, 0), (0, 1, 2), 0.4, 0.4), sdf.capsule((1, 0, 0), (0, 1, 2), 0.4)),
-        (sdf.polyline([(1, 0, 0), (0, 1, 2)], 0.4), sdf.capsule((1, 0, 0), (0, 1, 2), 0.4)),
-        (sdf.bezier((0, 0, 0), (1, 0, 1), (2, 0, 2), 0.4), sdf.capsule((0, 0, 0), (2, 0, 2), 0.4)),
-        (sdf.bezier((0, 0, 0), (2, 0, 0), (0, 0, 0), 0.4), sdf.capsule((0, 0, 0), (1, 0, 0), 0.4)),
+        (sdf.polyline_tube([(1, 0, 0), (0, 1, 2)], 0.4), sdf.capsule((1, 0, 0), (0, 1, 2), 0.4)),
+        (sdf.bezier_tube((0, 0, 0), (1, 0, 1), (2, 0, 2), 0.4),
+         sdf.capsule((0, 0, 0), (2, 0, 2), 0.4)),
+        (sdf.bezier_tube((0, 0, 0), (2, 0, 0), (0, 0, 0), 0.4),
+         sdf.capsule((0, 0, 0), (1, 0, 0), 0.4)),
         (sdf.convex_hull(list(product((-1, 1), (-0.5, 0.5), (-2, 2)))), sdf.box((2, 1, 4))),
         (sdf.octahedron(1), sdf.convex_hull([*np.eye(3), *-np.eye(3)])),
         (sdf.ellipsoid(1.2, exact=True), sdf.sphere(1.2)),
@@ -206,7 +209,7 @@ def test_a_curve_against_dense_points_of_it(rng):
         points = rng.uniform(-2, 2, (60, 3))
         curve = weights @ corners
         nearest = np.sqrt([((curve - p) ** 2).sum(axis=1).min() for p in points])
-        found = sdf.bezier(*corners, 0.1)(points) + 0.1
+        found = sdf.bezier_tube(*corners, 0.1)(points) + 0.1
         assert (found <= nearest + 1e-9).all()
         assert (np.sqrt(found**2 + 1e-8) >= nearest - 1e-9).all()
 
@@ -217,10 +220,10 @@ def test_a_curve_against_dense_points_of_it(rng):
 @pytest.mark.parametrize(
     ("exact", "bound"),
     [
-        (sdf.polyline(BEND[:2], 0.2), sdf.polyline(BEND, 0.2)),
+        (sdf.polyline_tube(BEND[:2], 0.2), sdf.polyline_tube(BEND, 0.2)),
         (sdf.capped_torus(1, 0.2, 300), sdf.capped_torus(1, 0.6, 300)),
         (sdf.cut_hollow_sphere(1, 0.8, 0.4), sdf.cut_hollow_sphere(1, 0.95, 0.8)),
-        (sdf.bezier(*BEND, 0.7), sdf.bezier(*BEND, 0.71)),
+        (sdf.bezier_tube(*BEND, 0.7), sdf.bezier_tube(*BEND, 0.71)),
         (sdf.helix(1, 0.2, 0.5, 3), sdf.helix(1, 0.26, 0.5, 3)),
         (sdf.ellipsoid((1, 1, 2), exact=True), sdf.ellipsoid((1, 1, 2))),
     ],
@@ -271,12 +274,14 @@ def test_tubes_are_exact_up_to_the_reach_of_their_curves(exact, bound):
         (lambda: sdf.superellipsoid(1, 2, vertical=0.9), "vertical", "cusps"),
         (lambda: sdf.capped_torus(1, 1, 90), "minor", "closes the hole"),
         (lambda: sdf.link(1, 1, 2), "minor", "closes the hole"),
-        (lambda: sdf.polyline([(0, 0, 0)], 1), "points", "at least 2"),
-        (lambda: sdf.polyline([(0, 0, 0), (1, 0, 0), (1, 0, 0)], 1), "points[2]", "one before"),
-        (lambda: sdf.triangle((0, 0, 0), (1, 1, 1), (2, 2, 2), 1), "c", "one line"),
-        (lambda: sdf.quad((0, 0, 0), (1, 0, 0), (1, 1, 1), (0, 1, 0), 1), "d", "one plane"),
-        (lambda: sdf.quad((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), 1), "d", "convex|one line"),
-        (lambda: sdf.bezier((1, 0, 0), (1, 0, 0), (1, 0, 0), 1), "c", "the same"),
+        (lambda: sdf.polyline_tube([(0, 0, 0)], 1), "points", "at least 2"),
+        (lambda: sdf.polyline_tube([(0, 0, 0), (1, 0, 0), (1, 0, 0)], 1), "points[2]",
+         "one before"),
+        (lambda: sdf.triangle_plate((0, 0, 0), (1, 1, 1), (2, 2, 2), 1), "c", "one line"),
+        (lambda: sdf.quad_plate((0, 0, 0), (1, 0, 0), (1, 1, 1), (0, 1, 0), 1), "d", "one plane"),
+        (lambda: sdf.quad_plate((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0), 1), "d",
+         "convex|one line"),
+        (lambda: sdf.bezier_tube((1, 0, 0), (1, 0, 0), (1, 0, 0), 1), "c", "the same"),
         (lambda: sdf.helix(1, 1, 1, 1), "tube", "below 1"),
         (lambda: sdf.helix(1, 0.1, 1, 1, ends="square"), "ends", "round or flat"),
         (lambda: sdf.helix(1, 0.1, 1, 1, hand=1), "hand", "right or left"),
