@@ -25,14 +25,18 @@ from implicit_warp.commands.deform import Deform
 from implicit_warp.commands.extract import Extract
 from implicit_warp.commands.fit import Fit
 from implicit_warp.commands.info import Info
+from implicit_warp.commands.learn_sdf import LearnSdf
+from implicit_warp.commands.slice import Slice
 from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
 
 COMMANDS = {
     "deform": Deform,
     "fit": Fit,
     "extract": Extract,
+    "slice": Slice,
     "apply": Apply,
     "check": Check,
+    "learn-sdf": LearnSdf,
     "info": Info,
     "bench": Bench,
 }
