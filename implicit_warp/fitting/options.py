@@ -23,6 +23,8 @@ class FitOptions(Options):
         height: length in the user's units that counts as 1.4 in the loss and the report; the
             longest side of the source's box if None. For a body, its height.
         align: affine map of the source that the net starts from: "none", "rigid" or "affine".
+        radius: of source and target in the domain of the net, whose square layers reach to 1.
+            Small, and few cells are used; large, and the ends lie in the cones around the squares.
         vertex_goal, gradient_goal: stop when both errors, times 1000, are at most these; an
             error without a goal (None) need not be small, and without any there is no stop.
         seconds: stop after so long; the learning rate then falls with the time that has passed.
@@ -37,12 +39,13 @@ class FitOptions(Options):
     resolution: int = 11
     frames: str = "cubic"
     boundary: str = "free"
-    steps: int = 3000
+    steps: int = 1000
     learning_rate: float = 0.2
     gradient_weight: float = 0.1
     landmark_weight: float = 1.0
     height: float | None = None
     align: str = "rigid"
+    radius: float = 1.2
     vertex_goal: float | None = None
     gradient_goal: float | None = None
     seconds: float | None = None
@@ -57,7 +60,7 @@ class FitOptions(Options):
         self._check_numbers("gradient_weight", "landmark_weight", "tolerance")
         optional = ("height", "vertex_goal", "gradient_goal", "seconds")
         given = [name for name in optional if getattr(self, name) is not None]
-        self._check_numbers("learning_rate", *given, positive=True)
+        self._check_numbers("learning_rate", "radius", *given, positive=True)
         self._check_choice("align", ALIGNMENTS)
         self._check_choice("precision", PRECISIONS)
         self._check_device(self.device)

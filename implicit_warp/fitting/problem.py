@@ -18,10 +18,6 @@ from implicit_warp.mesh_gradient import MeshGradient
 PAPER_HEIGHT = 1.4
 """Height of a body in the scale in which the paper states its errors."""
 
-UNIT_RADIUS = 0.7
-"""Radius of source and target in the unit domain, whose square layers reach to 1: what lies near a
-layer's border can only slide along it."""
-
 _LARGEST_RATIO = 50.0
 """Source and target whose sizes differ by more than this are taken to be in different units."""
 
@@ -179,7 +175,7 @@ class FitProblem:
     def __init__(self, given: Correspondence, options: FitOptions) -> None:
         self.options = options
         dtype, device = getattr(torch, options.precision), options.device
-        self.before, self.after = _domain(given, options.align)
+        self.before, self.after = _domain(given, options)
         back = invert_affine(self.after)
         self.source = apply_affine(self.before, given.source).to(device, dtype)
         self.target = apply_affine(back, given.target).to(device, dtype)
@@ -220,14 +216,14 @@ class FitProblem:
         return sum(weights[name] * error for name, error in errors.items())
 
 
-def _domain(given: Correspondence, align: str) -> tuple[Tensor, Tensor]:
+def _domain(given: Correspondence, options: FitOptions) -> tuple[Tensor, Tensor]:
     """The affine maps into the unit domain and out of it."""
     marks = given.weights.new_ones(len(given.source) - given.n_vertices)
     weights = torch.cat([given.weights, marks])
-    motion = best_affine_map(given.source, given.target, align, weights)
+    motion = best_affine_map(given.source, given.target, options.align, weights)
     # The domain has to hold the source and the target, seen from the source's side.
     points = torch.cat([given.source, apply_affine(invert_affine(motion), given.target)])
     centre = 0.5 * (points.amin(0) + points.amax(0))
-    unit = UNIT_RADIUS / float((points - centre).norm(dim=-1).max())
+    unit = options.radius / float((points - centre).norm(dim=-1).max())
     before = torch.cat([unit * torch.eye(3).double(), -unit * centre[:, None]], -1)
     return before, compose_affine(motion, invert_affine(before))
