@@ -127,10 +127,19 @@ class MeshGradient:
         self._check("a", a)
         self._check("b", b)
         difference = a - b
-        columns = difference.movedim(-2, 0).flatten(1)
-        laplacian = self._matrix("laplacian", difference)
-        product = _Product.apply(columns, laplacian, laplacian)
-        return (columns * product).view(self.n_vertices, *difference.shape[:-2], 3).sum((0, -1))
+        return (difference * self.laplacian(difference)).sum((-2, -1))
+
+    def laplacian(self, positions: Tensor) -> Tensor:
+        """L times the positions (..., V, 3): half the derivative of `squared_distance`.
+
+        Raises:
+            InputError: as for a call.
+        """
+        self._check("positions", positions)
+        columns = positions.movedim(-2, 0).flatten(1)
+        matrix = self._matrix("laplacian", positions)
+        product = _Product.apply(columns, matrix, matrix)
+        return product.view(self.n_vertices, *positions.shape[:-2], 3).movedim(0, -2)
 
     def _check(self, argument: str, positions: Tensor) -> None:
         if not isinstance(positions, Tensor) or not positions.is_floating_point():

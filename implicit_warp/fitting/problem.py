@@ -184,36 +184,44 @@ class FitProblem:
         # Errors are measured in the user's space, where `after` may be any affine map.
         self._metric = (self.after[:, :3] * (PAPER_HEIGHT / self.height)).to(device, dtype)
         self.n_vertices = given.n_vertices
-        self._weights = given.weights.to(device, dtype)
+        # Of each entry's square in the mean over vertices and coordinates.
+        self._weights = (given.weights / (3 * max(given.n_vertices, 1)))[:, None].to(device, dtype)
         self._gradient = None
         if given.faces is not None:
             scaled = given.source[: given.n_vertices] * (PAPER_HEIGHT / self.height)
             self._gradient = MeshGradient(scaled, given.faces, weighting="uniform")
 
-    def errors(self, image: Tensor) -> dict[str, Tensor]:
-        """Vertex, gradient and landmark error, as means over all entries in the paper's scale."""
-        n = self.n_vertices
+    def errors(self, image: Tensor) -> tuple[dict[str, float], Tensor]:
+        """The errors, times 1000, their weighted "total" first, and the total's derivative by the
+        image of the source, (n, 3).
+
+        Each error is a mean over all entries in the paper's scale, and a quadratic form d . Q d of
+        the differences d: one product gives its value and its derivative, 2 Q d.
+        """
+        n, options = self.n_vertices, self.options
         # (a - b) M^T for the affine `after`: the same numbers as comparing in the user's space.
         difference = (image - self.target) @ self._metric.T
-        errors = {}
+        vertices, landmarks = difference[:n], difference[n:]
+        # Of each term: its differences d, and Q d.
+        terms: dict[str, tuple[Tensor, Tensor]] = {}
         if n:
-            vertices = difference[:n]
-            errors["vertex"] = (vertices.square().mean(-1) * self._weights).mean()
+            terms["vertex"] = vertices, self._weights * vertices
             if self._gradient is not None:
-                zero = torch.zeros_like(vertices)
-                errors["gradient"] = self._gradient.squared_distance(vertices, zero) / 9.0
-        if len(difference) > n:
-            errors["landmark"] = difference[n:].square().mean()
-        return errors
-
-    def total(self, errors: dict[str, Tensor]) -> Tensor:
-        """The loss: the errors, weighted and added up."""
+                terms["gradient"] = vertices, self._gradient.laplacian(vertices) / 9.0
+        if len(landmarks):
+            terms["landmark"] = landmarks, landmarks / landmarks.numel()
         weights = {
             "vertex": 1.0,
-            "gradient": self.options.gradient_weight,
-            "landmark": self.options.landmark_weight,
+            "gradient": options.gradient_weight,
+            "landmark": options.landmark_weight,
         }
-        return sum(weights[name] * error for name, error in errors.items())
+        errors, total, slope = {}, 0.0, torch.zeros_like(difference)
+        for name, (d, q) in terms.items():
+            errors[name] = 1000.0 * float((d * q).sum())
+            total += weights[name] * errors[name]
+            part = slice(n, None) if name == "landmark" else slice(n)
+            slope[part] += 2000.0 * weights[name] * q
+        return {"total": total, **errors}, slope @ self._metric
 
 
 def _domain(given: Correspondence, options: FitOptions) -> tuple[Tensor, Tensor]:

@@ -173,10 +173,10 @@ class _Fit:
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate() * group["rate"]
         image = evaluate.forward(self.net.stack(), self.problem.source)
-        loss = self.problem.total(self.problem.errors(image))
-        if 1000.0 * float(loss.detach()) <= _RELAPSE * self.best[0]:
+        errors, slope = self.problem.errors(image.detach())
+        if errors["total"] <= _RELAPSE * self.best[0]:
             self.optimiser.zero_grad(set_to_none=True)
-            loss.backward()
+            image.backward(slope)
             self.optimiser.step()
         else:  # also NaN
             self.net.load_state_dict(self.best[1])
@@ -197,10 +197,7 @@ class _Fit:
 
     @torch.no_grad()
     def _measure(self) -> dict[str, float]:
-        image = evaluate.forward(self.net.stack(), self.problem.source)
-        errors = self.problem.errors(image)
-        measured = {"total": self.problem.total(errors), **errors}
-        return {name: 1000.0 * float(value) for name, value in measured.items()}
+        return self.problem.errors(evaluate.forward(self.net.stack(), self.problem.source))[0]
 
     def _review(self) -> None:
         errors = self._measure()

@@ -10,6 +10,7 @@ import trimesh
 import implicit_warp as iw
 from implicit_warp.benchmark.workloads import sphere_mesh
 from implicit_warp.errors import FileFormatError, InputError
+from implicit_warp.fitting.problem import FitProblem, correspondence
 from implicit_warp.mesh_gradient import MeshGradient
 from tests.implicit_warp.registered_maps import random_warp
 
@@ -60,6 +61,33 @@ def test_the_report_states_the_errors_of_the_map_it_comes_with(fitted):
     assert report.gradient_error == pytest.approx(1e3 * float(apart.square().mean()), rel=1e-3)
     assert report.loss == pytest.approx(report.vertex_error + 0.1 * report.gradient_error)
     assert f"{report.vertex_error:.3g}" in str(report)
+
+
+@pytest.mark.parametrize("align", ["rigid", "affine"])
+def test_the_slope_is_the_derivative_of_the_errors(align):
+    """Against autograd through the errors as they are defined, in the user's units."""
+    marks = (POINTS[:4], POINTS[4:8])
+    weights = np.linspace(0.1, 2.0, 600)
+    options = iw.FitOptions(height=3.0, align=align, precision="float64", landmark_weight=0.7)
+    given = correspondence(
+        trimesh.Trimesh(POINTS, FACES, process=False), POINTS @ np.diag([1.0, 1.3, 0.8]), marks,
+        weights,
+    )  # fmt: skip
+    problem = FitProblem(given, options)
+    image = problem.source + 0.1 * torch.randn(604, 3, dtype=torch.float64)
+    image.requires_grad_()
+    after = problem.after
+    moved = 1.4 / 3.0 * (image @ after[:, :3].T + after[:, 3])
+    goal = 1.4 / 3.0 * given.target
+    vertex = ((moved - goal)[:600] ** 2).mean(1) @ torch.from_numpy(weights / weights.mean()) / 600
+    operator = MeshGradient(1.4 / 3.0 * POINTS, FACES)
+    gradient = (operator(moved[:600]) - operator(goal[:600])).square().mean()
+    landmark = ((moved - goal)[600:] ** 2).mean()
+    total = 1000.0 * (vertex + 0.1 * gradient + 0.7 * landmark)
+    errors, slope = problem.errors(image.detach())
+    assert errors["total"] == pytest.approx(float(total.detach()), rel=1e-12)
+    assert errors["gradient"] == pytest.approx(1000.0 * float(gradient.detach()), rel=1e-10)
+    assert torch.allclose(slope, torch.autograd.grad(total, image)[0], rtol=1e-9, atol=1e-12)
 
 
 def test_the_result_is_certified_and_comes_back_from_a_file(fitted, tmp_path):
