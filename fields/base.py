@@ -26,6 +26,13 @@ class FieldBase:
     history: History
     """How the field was made; what `repr` writes."""
 
+    @property
+    def tape(self) -> Tape:
+        """The instructions that compute the field; made on first use and kept."""
+        if self._tape is None:
+            self._tape = Tape(self._body.expression)
+        return self._tape
+
 
 F = TypeVar("F", bound=FieldBase)
 

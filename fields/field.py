@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import final, overload
+from typing import final
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
@@ -15,20 +14,25 @@ from fields.base import made
 from fields.errors import InputError
 from fields.expression import Expression, X, Y, Z, call, remap
 from fields.methods.combinations import Combinations
+from fields.methods.copies import Copies
+from fields.methods.deformations import Deformations
+from fields.methods.evaluation import Evaluation
 from fields.methods.motions import Motions
+from fields.methods.solids import Solids
+from fields.methods.thickness import Thickness
 from fields.notation import Call, History, Opaque
 from fields.operations import Body
 from fields.oracle import FunctionOracle, Oracle
 from fields.tags import EVERYWHERE, Tags
-from fields.tape import Tape
 
 
 @final
-class Field(Combinations, Motions):
+class Field(Combinations, Copies, Deformations, Evaluation, Motions, Solids, Thickness):
     """A scalar function on R^3 whose zero set is a surface; negative inside.
 
     Immutable. Made by the primitives (`fields.sphere` and so on), combined with `|`
-    (union), `&` (intersection) and `-` (difference), and by the methods below, each of
+    (union), `&` (intersection), `-` (difference), `^` (symmetric difference) and `~`
+    (complement), and by the methods below, each of
     which is also a function of the package (`fields.translate(a, v)` is
     `a.translate(v)`). Calling the class itself wraps an expression of `fields.expression`.
 
@@ -97,13 +101,6 @@ class Field(Combinations, Motions):
         bounds = self._body.tags.bounds
         return None if bounds is None else bounds.copy()
 
-    @property
-    def tape(self) -> Tape:
-        """The instructions that compute the field; made on first use and kept."""
-        if self._tape is None:
-            self._tape = Tape(self.expression)
-        return self._tape
-
     def __repr__(self) -> str:
         return notation.written(self)
 
@@ -112,75 +109,6 @@ class Field(Combinations, Motions):
 
     def __deepcopy__(self, memo: object) -> Field:
         return self
-
-    # --- values ---
-
-    @overload
-    def __call__(self, points: Tensor) -> Tensor: ...
-    @overload
-    def __call__(self, points: ArrayLike) -> NDArray[np.floating]: ...
-    def __call__(self, points: ArrayLike | Tensor) -> NDArray[np.floating] | Tensor:
-        """Values at points.
-
-        Args:
-            points: `(..., 3)`. A tensor gives a tensor in the same dtype and on the same
-                device, with gradients; anything else is read by numpy and gives an array,
-                float32 for float32 and float64 otherwise.
-
-        Returns:
-            `(...)`, negative inside, in the units of the points if the field is exact.
-
-        Raises:
-            InputError: the shape does not end in 3, the dtype is not real, or a point
-                is NaN or infinite.
-        """
-        checked = arguments.points_tensor("points", points)
-        if isinstance(points, Tensor):
-            return self.evaluate(checked)
-        with torch.no_grad():
-            return self.evaluate(checked).contiguous().numpy()[()]
-
-    def evaluate(self, points: Tensor) -> Tensor:
-        """Values `(...)` at a floating tensor of points `(..., 3)`, without checks.
-
-        For inner loops: NaN points give NaN values, and wrong shapes fail somewhere
-        inside. The result may share its memory between points if the field is constant.
-        """
-        return self.tape.evaluate(points)
-
-    @overload
-    def gradient(self, points: Tensor) -> Tensor: ...
-    @overload
-    def gradient(self, points: ArrayLike) -> NDArray[np.floating]: ...
-    def gradient(self, points: ArrayLike | Tensor) -> NDArray[np.floating] | Tensor:
-        """The gradient at points, by automatic differentiation.
-
-        Always finite. Where the field has a crease the result is one of the directions
-        in between; where it has none at all (the centre of a sphere) it is zero. The
-        table in `fields.expression` has the choices.
-
-        Args:
-            points: `(..., 3)` as for a call. If it is a tensor that requires a gradient,
-                the result can be differentiated again.
-
-        Returns:
-            `(..., 3)`.
-
-        Raises:
-            InputError: as for a call; or an oracle does not support gradients.
-        """
-        checked = arguments.points_tensor("points", points)
-        keep_graph = checked.requires_grad and torch.is_grad_enabled()
-        with torch.enable_grad():
-            at = checked if keep_graph else checked.detach().requires_grad_()
-            values = self.evaluate(at)
-            if values.requires_grad:
-                (result,) = torch.autograd.grad(
-                    values, at, torch.ones_like(values), create_graph=keep_graph
-                )
-            else:
-                result = torch.zeros_like(at)
-        return result if isinstance(points, Tensor) else result.numpy()
 
     # --- under a map ---
 

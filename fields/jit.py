@@ -33,3 +33,9 @@ point_kernel = numba.njit(
 
 inlined = numba.njit(inline="always")
 """A piece of a kernel, compiled into its caller under the caller's options."""
+
+piece = numba.njit(nogil=True, error_model="numpy")
+"""A compiled function for use in kernels only, in whose files on disk it is contained."""
+
+accurate = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})
+"""The same, free to fuse multiplications with additions, whatever its caller may do."""

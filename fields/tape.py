@@ -8,7 +8,7 @@ instruction the slots that nobody reads afterwards.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias, final
+from typing import TYPE_CHECKING, TypeAlias, final
 
 import torch
 from torch import Tensor
@@ -25,6 +25,9 @@ from fields.expression import (
     intern_node,
 )
 from fields.oracle import Oracle
+
+if TYPE_CHECKING:
+    from fields.evaluators.compiled import CompiledTape
 
 _Key: TypeAlias = "tuple[Expression, Coordinates]"
 
@@ -90,6 +93,11 @@ def _ordered(root: Expression) -> list[Expression]:
     return list(order)
 
 
+def coordinates_used(root: Expression) -> set[int]:
+    """The axes, 0 to 2, of the coordinates that an expression depends on by its formula."""
+    return {int(node.payload) for node in _ordered(flatten(root)) if node.kind == "coordinate"}  # type: ignore[arg-type]
+
+
 @dataclass(frozen=True, slots=True)
 class Instruction:
     """One step of a tape; its result goes to the slot with its own index.
@@ -111,9 +119,14 @@ class Instruction:
 class Tape:
     """The instructions that compute one scalar expression; the last one is its value."""
 
-    __slots__ = ("instructions",)
+    __slots__ = ("_compiled", "calls_oracles", "instructions")
+
+    instructions: tuple[Instruction, ...]
+    calls_oracles: bool
+    _compiled: CompiledTape | None
 
     def __init__(self, root: Expression) -> None:
+        self._compiled = None
         nodes = _ordered(flatten(root))
         slots = {node: slot for slot, node in enumerate(nodes)}
         last_use = {
@@ -122,7 +135,7 @@ class Tape:
         expired: list[list[int]] = [[] for _ in nodes]
         for slot, user in last_use.items():
             expired[user].append(slot)
-        self.instructions: tuple[Instruction, ...] = tuple(
+        self.instructions = tuple(
             Instruction(
                 node.kind,
                 node.payload,
@@ -131,9 +144,19 @@ class Tape:
             )
             for slot, node in enumerate(nodes)
         )
+        self.calls_oracles = any(node.kind == "call" for node in nodes)
 
     def __len__(self) -> int:
         return len(self.instructions)
+
+    @property
+    def compiled(self) -> CompiledTape:
+        """The tape for the compiled evaluators; made, and numba loaded, on first use."""
+        if self._compiled is None:
+            from fields.evaluators.compiled import CompiledTape
+
+            self._compiled = CompiledTape(self)
+        return self._compiled
 
     def evaluate(self, points: Tensor) -> Tensor:
         """Values `(...)` at points `(..., 3)`, in their dtype and on their device.
@@ -158,7 +181,7 @@ class Tape:
                 slots[slot] = coordinates[instruction.payload]
             elif instruction.kind == "call":
                 where = self._call_points(instruction, arguments, points)
-                slots[slot] = _called(instruction.payload, where)
+                slots[slot] = called(instruction.payload, where)
             else:
                 slots[slot] = arguments[0][..., instruction.payload]
             for index in instruction.expired:
@@ -179,7 +202,12 @@ class Tape:
 _IDENTITY = [("coordinate", 0), ("coordinate", 1), ("coordinate", 2)]
 
 
-def _called(oracle: Oracle, points: Tensor) -> Tensor:
+def called(oracle: Oracle, points: Tensor) -> Tensor:
+    """The values of an oracle, checked.
+
+    Raises:
+        InputError: they have the wrong shape, or no gradient although the points require one.
+    """
     values = oracle(points)
     expected = (*points.shape[:-1], oracle.outputs)
     if not isinstance(values, Tensor) or values.shape != expected:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -23,8 +23,13 @@ from implicit_warp.certificate import certify, disagreement
 from implicit_warp.errors import FileFormatError, InputError, NotInjective
 from implicit_warp.frames import refuse_non_rotations
 from implicit_warp.maps import Composition, Inverse, Map
+from implicit_warp.shear import Shear
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
+
+if TYPE_CHECKING:
+    from implicit_warp.elastic_solve import SolveReport
+    from implicit_warp.fitting import FitReport
 
 FORMAT = "implicit_warp.map"
 FORMAT_VERSION = 1
@@ -34,8 +39,8 @@ def save(map_: Map, path: str | Path, *, units: str = "") -> None:
     """Write a map to a `.safetensors` file, with its certificate and a fingerprint of its numbers.
 
     Args:
-        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, `Twist`, `Taper`
-            or `Bend`, or a composition or inverse of these.
+        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, `Twist`, `Taper`,
+            `Shear` or `Bend`, or a composition or inverse of these.
         path: where to; written under a temporary name and renamed.
         units: a note on the units of the map's domain, such as "mm".
 
@@ -149,7 +154,8 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
             embeddings=map_.embeddings, frames=map_.frames, before=map_.before, after=map_.after
         )
         report = None if map_.report is None else map_.report.to_dict()
-        return {"kind": "warp", "tensors": names, "report": report}
+        kind = type(map_.report).__name__
+        return {"kind": "warp", "tensors": names, "report": report, "report_kind": kind}
     if isinstance(map_, TutteNet):
         names = store(
             frames_at_start=map_.frames_at_start,
@@ -173,7 +179,7 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
         "map_",
         type(map_).__name__,
         "maps of this kind have no file format",
-        "save a TutteNet, Warp, Affine, Twist, Taper, Bend, or a composition of them",
+        "save a TutteNet, Warp, Affine, Twist, Taper, Shear, Bend, or a composition of them",
     )
 
 
@@ -187,10 +193,7 @@ def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map
     if kind == "affine":
         return Affine(parts["matrix"][:, :3].numpy(), parts["matrix"][:, 3].numpy())
     if kind == "warp":
-        from implicit_warp.elastic_solve import SolveReport
-
-        report = structure.get("report")
-        return Warp(**parts, report=None if report is None else SolveReport.from_dict(report))
+        return Warp(**parts, report=_report(structure))
     if kind == "tuttenet":
         start = parts.pop("frames_at_start")
         net = TutteNet(
@@ -213,10 +216,22 @@ def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map
     raise FileFormatError(f"unknown kind of map {kind!r}")
 
 
+def _report(structure: dict[str, Any]) -> SolveReport | FitReport | None:
+    if structure.get("report") is None:
+        return None
+    from implicit_warp.elastic_solve import SolveReport
+    from implicit_warp.fitting import FitReport
+
+    # Files written before there were fits do not say whose report it is.
+    fitted = structure.get("report_kind") == FitReport.__name__
+    return (FitReport if fitted else SolveReport).from_dict(structure["report"])
+
+
 _AXIAL: dict[type[AxialMap], tuple[str, ...]] = {
     Twist: ("degrees", "between"),
     Taper: ("factors", "between"),
     Bend: ("degrees", "between"),
+    Shear: ("slope", "between"),
 }
 """The arguments of the axial maps beside their frame and origin."""
 

@@ -12,6 +12,7 @@ from implicit_warp.commands.common import (
     GOOD,
     Common,
     Out,
+    read_points,
     say,
     write_and_check,
 )
@@ -74,7 +75,7 @@ class Apply(Common):
         if suffix == ".npy":
             import numpy as np
 
-            moved = map_(_read_points(self.thing))
+            moved = map_(read_points(self.thing))
             with atomic_write(self.out) as temporary, temporary.open("wb") as file:
                 np.save(file, moved)
             say(f"{self.out}: {len(moved)} points")
@@ -101,14 +102,3 @@ class Apply(Common):
             )
         say(str(report))
         return image
-
-
-def _read_points(path: Path):
-    import numpy as np
-
-    try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(
-            "thing", str(path), f"not a readable .npy file ({error})", "save it with numpy.save"
-        ) from error

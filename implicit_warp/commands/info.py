@@ -101,5 +101,6 @@ def _facts_of_map(path: Path) -> dict[str, Any]:
         facts |= {"layers": map_.n_layers, "resolution": map_.resolution}
         if map_.report is not None:
             solved = map_.report.to_dict()
-            facts["solve"] = {k: solved[k] for k in ("status", "steps", "handle_error")}
+            keys = ("status", "steps", "handle_error", "vertex_error", "gradient_error")
+            facts["solve"] = {k: solved[k] for k in keys if solved.get(k) is not None}
     return facts

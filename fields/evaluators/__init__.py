@@ -1,0 +1,1 @@
+"""Evaluators of expressions besides torch: compiled values and gradients, bounds, shaders."""

@@ -1,0 +1,88 @@
+"""Bounds of a field on boxes: interval arithmetic, and the Lipschitz bound if there is one."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from fields.errors import InputError
+from fields.oracle import Boxes
+from fields.tape import Tape
+
+ASSUMED = 1024.0
+"""Where a field calls an oracle that does not enclose, its values are taken to be computed within
+so many epsilon of the dtype, relative to the largest coordinate or value on the box."""
+
+
+def bounds_on_boxes(
+    tape: Tape, lipschitz: float | None, boxes: ArrayLike, dtype: DTypeLike
+) -> NDArray[np.float64]:
+    """Low, high and error `(..., 3)` on boxes `(..., 2, 3)`; see `Field.enclose`.
+
+    With a Lipschitz bound L, exact values are within L * r of the exact value at the centre, r
+    being half of the box's diagonal, and computed ones within the box's error of exact ones.
+    """
+    checked = _checked(boxes)
+    kind = checked_dtype(dtype)
+    flat = checked.reshape(-1, 2, 3)
+    found = tape.compiled.bounds(flat, kind)
+    if lipschitz is not None:
+        finite = np.isfinite(flat).all(axis=(1, 2))
+        found[finite] = _tightened(tape, lipschitz, flat[finite], kind, found[finite])
+    return found.reshape(*checked.shape[:-2], 3)
+
+
+def _tightened(
+    tape: Tape, lipschitz: float, boxes: Boxes, dtype: np.dtype, found: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    centres = 0.5 * boxes.sum(axis=1)
+    reach = lipschitz * np.linalg.norm(
+        np.maximum(boxes[:, 1] - centres, centres - boxes[:, 0]), axis=1
+    )
+    reach *= 1 + 1e-12
+    middle = tape.compiled.bounds(np.stack([centres, centres], axis=1), dtype)
+    error = found[:, 2]
+    unknown = ~np.isfinite(error)
+    if unknown.any():  # an oracle that does not enclose
+        at = tape.compiled.values(torch.from_numpy(centres[unknown])).numpy()
+        size = np.maximum(np.abs(at), np.abs(centres[unknown]).max(axis=1)) + reach[unknown]
+        slack = ASSUMED * np.finfo(dtype).eps * size
+        middle[unknown] = np.stack([at - slack, at + slack, slack], axis=1)
+        error = error.copy()
+        error[unknown] = slack
+    low = np.maximum(found[:, 0], middle[:, 0] - reach - error)
+    high = np.minimum(found[:, 1], middle[:, 1] + reach + error)
+    return np.stack([low, high, np.minimum(error, high - low)], axis=1)
+
+
+def checked_dtype(dtype: DTypeLike) -> np.dtype:
+    """float32 or float64."""
+    try:
+        kind = np.dtype(dtype)
+    except TypeError:
+        kind = np.dtype(object)
+    if kind not in (np.float32, np.float64):
+        raise InputError(
+            "dtype", dtype, "fields are evaluated in float32 or float64", "pass one of the two"
+        )
+    return kind
+
+
+def _checked(boxes: ArrayLike) -> Boxes:
+    try:
+        result = np.array(boxes, dtype=np.float64)
+    except (TypeError, ValueError):
+        result = np.empty(0)
+    if (
+        result.ndim < 2
+        or result.shape[-2:] != (2, 3)
+        or not (result[..., 0, :] <= result[..., 1, :]).all()
+    ):
+        raise InputError(
+            "boxes",
+            boxes,
+            "a box is two rows of three numbers, minimum first, none of them NaN",
+            "pass an array of shape (..., 2, 3)",
+        )
+    return result
