@@ -46,7 +46,7 @@ def test_the_report_agrees_with_an_independent_measurement(fitted, rng):
     error = np.abs(learned(points) - TORUS(points)).mean() / diagonal
     assert report.accuracy.box_error == pytest.approx(error, rel=0.1)
     assert report.history[-1][0] == 250
-    assert json.loads(json.dumps(report.to_dict()))["accuracy"]["points"] == 20_000
+    assert json.loads(json.dumps(report.to_dict()))["accuracy"]["points"] == 10_000
     assert "250 steps" in str(report)
 
 
