@@ -13,7 +13,6 @@ import torch
 from fields import arguments
 from fields.errors import InputError
 
-
 _WHOLE = {
     "steps": (1, 1 << 31),
     "batch": (1, 1 << 31),
