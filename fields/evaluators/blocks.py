@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fields.evaluators.enclosures import ASSUMED
 from fields.evaluators.intervals import run_box
 from fields.evaluators.registers import WIDTH, assign_registers
 from fields.evaluators.shortening import shorten
@@ -151,7 +152,7 @@ def visit_blocks(
             all_constants[number + 1],
             all_rounded[number + 1],
         )
-        radius = 0.0
+        radius = farthest = 0.0
         for axis in range(3):
             least, most = corners[start, axis], corners[start, axis]
             for block in range(start + 1, stop):
@@ -161,6 +162,7 @@ def visit_blocks(
             centre = 0.5 * (low + high)
             slots[axis, 0], slots[axis, 1] = low, high
             middle[axis, 0], middle[axis, 1] = centre, centre
+            farthest = max(farthest, abs(low), abs(high))
             radius += max(high - centre, centre - low) ** 2
         _bounds(inputs, program, sizes[number], limits, slots, choices)
         result = outputs[number]
@@ -173,7 +175,9 @@ def visit_blocks(
             sizes[number + 1], outputs[number + 1] = size, result
             if lipschitz < np.inf:
                 _bounds(inputs, shorter, size, limits, middle, unused)
-                reach = lipschitz * np.sqrt(radius) * (1.0 + 1e-12) + error
+                reach = lipschitz * np.sqrt(radius) * (1.0 + 1e-12)
+                value = max(abs(middle[result, 0]), abs(middle[result, 1])) + reach
+                reach += min(error, ASSUMED * limits[1] * max(value, farthest))
                 low = max(low, middle[result, 0] - reach)
                 high = min(high, middle[result, 1] + reach)
                 is_crossed = low <= level <= high

@@ -222,9 +222,10 @@ def _oracle_bounds(
     bounds = np.empty((len(boxes), made.oracle.outputs, 2))
     bounds[:] = (-np.inf, np.inf)
     finite = np.isfinite(boxes).all(axis=(1, 2))
-    known = made.oracle.enclose(boxes[finite])
+    with np.errstate(over="ignore", invalid="ignore"):  # boxes may be as large as numbers get
+        known = made.oracle.enclose(boxes[finite])
     if known is not None:
-        bounds[finite] = known
+        bounds[finite] = np.where(np.isnan(known), (-np.inf, np.inf), known)
     size = np.maximum(np.abs(bounds).max(axis=(1, 2)), np.abs(boxes).max(axis=(1, 2)))[:, None]
     slack = np.where(np.isfinite(size), ORACLE * rounding * size, 0.0)
     low, high = bounds[..., 0] - slack, bounds[..., 1] + slack

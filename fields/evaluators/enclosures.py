@@ -11,8 +11,10 @@ from fields.oracle import Boxes
 from fields.tape import Tape
 
 ASSUMED = 1024.0
-"""Where a field calls an oracle that does not enclose, its values are taken to be computed within
-so many epsilon of the dtype, relative to the largest coordinate or value on the box."""
+"""Where a Lipschitz bound is used, values are taken to be computed within so many epsilon of the
+dtype, relative to the largest coordinate or value on the box, if nothing better is proved. (Nothing
+is where a `where_negative` is undecided: a rounding may then take the wrong branch, which changes
+little if the field is continuous, but intervals do not know that.)"""
 
 
 def bounds_on_boxes(
@@ -21,7 +23,8 @@ def bounds_on_boxes(
     """Low, high and error `(..., 3)` on boxes `(..., 2, 3)`; see `Field.enclose`.
 
     With a Lipschitz bound L, exact values are within L * r of the exact value at the centre, r
-    being half of the box's diagonal, and computed ones within the box's error of exact ones.
+    being half of the box's diagonal; computed ones are within the box's error of exact ones, or
+    within what is assumed of it, whichever is less.
     """
     checked = _checked(boxes)
     kind = checked_dtype(dtype)
@@ -42,18 +45,18 @@ def _tightened(
     )
     reach *= 1 + 1e-12
     middle = tape.compiled.bounds(np.stack([centres, centres], axis=1), dtype)
-    error = found[:, 2]
-    unknown = ~np.isfinite(error)
-    if unknown.any():  # an oracle that does not enclose
-        at = tape.compiled.values(torch.from_numpy(centres[unknown])).numpy()
-        size = np.maximum(np.abs(at), np.abs(centres[unknown]).max(axis=1)) + reach[unknown]
-        slack = ASSUMED * np.finfo(dtype).eps * size
-        middle[unknown] = np.stack([at - slack, at + slack, slack], axis=1)
-        error = error.copy()
-        error[unknown] = slack
+    farthest = np.abs(boxes).max(axis=(1, 2))
+    slack = ASSUMED * np.finfo(dtype).eps
+    if tape.calls_oracles:  # they may have told nothing about themselves
+        at = tape.compiled.values(torch.from_numpy(centres)).numpy()
+        allowed = slack * np.maximum(np.abs(at), farthest)
+        middle[:, 0] = np.maximum(middle[:, 0], at - allowed)
+        middle[:, 1] = np.minimum(middle[:, 1], at + allowed)
+    largest = np.maximum(np.abs(middle[:, :2]).max(axis=1) + reach, farthest)
+    error = np.minimum(found[:, 2], slack * largest)
     low = np.maximum(found[:, 0], middle[:, 0] - reach - error)
     high = np.minimum(found[:, 1], middle[:, 1] + reach + error)
-    return np.stack([low, high, np.minimum(error, high - low)], axis=1)
+    return np.stack([low, high, error], axis=1)
 
 
 def checked_dtype(dtype: DTypeLike) -> np.dtype:

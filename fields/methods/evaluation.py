@@ -125,11 +125,15 @@ class Evaluation(FieldBase):
     def enclose(self, boxes: ArrayLike, dtype: DTypeLike = np.float64) -> NDArray[np.float64]:
         """What the values can be on boxes: rigorous lower and upper bounds.
 
-        By interval arithmetic over the formula, rounding included, tightened by the
-        Lipschitz bound around each box's centre if the field has one. The bounds hold for
-        the exact formula in real numbers and also for every value that `evaluate` computes
-        in the dtype at points of the box (of that dtype): where they exclude a number,
-        no sample can be on its other side.
+        By interval arithmetic over the formula, rounding included. The bounds hold for the
+        exact formula in real numbers and also for every value that `evaluate` computes in
+        the dtype at points of the box (of that dtype): where they exclude a number, no sample
+        can be on its other side.
+
+        If the field has a Lipschitz bound, the value at each box's centre gives a second pair,
+        and the tighter ones are returned. Computed values are then taken to be within 1024
+        epsilon of the dtype of exact ones, relative to the largest coordinate or value on the
+        box, unless the intervals prove that they are nearer.
 
         Args:
             boxes: `(..., 2, 3)`, rows minimum and maximum; sides may be infinite.
