@@ -1,4 +1,4 @@
-"""Values, gradients and bounds of fields."""
+"""Values, gradients, bounds and shaders of fields."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from fields import arguments
 from fields.base import FieldBase
 from fields.evaluators.choice import runs_compiled
 from fields.evaluators.enclosures import bounds_on_boxes
+from fields.evaluators.shader import shader_text
 
 
 class Evaluation(FieldBase):
@@ -167,3 +168,22 @@ class Evaluation(FieldBase):
             InputError: as for `enclose`.
         """
         return bounds_on_boxes(self.tape, None, boxes, dtype)[..., 2]
+
+    def to_glsl(self, name: str = "field", dialect: str = "glsl") -> str:
+        """The field as the text of a shader function, for viewers that march rays.
+
+        Args:
+            name: of the function.
+            dialect: "glsl", for `float name(vec3 p)`, or "wgsl", for
+                `fn name(p: vec3<f32>) -> f32`.
+
+        Returns:
+            Text that needs nothing else, in float32, with the conventions of
+            `fields.expression` at the edges of its operations.
+
+        Raises:
+            InputError: the field calls an oracle (a mesh, a network, a map), whose formula
+                is not known, or has a constant that float32 cannot hold; the name or the
+                dialect is none.
+        """
+        return shader_text(self.tape, name, dialect)
