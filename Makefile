@@ -3,6 +3,7 @@
 # make lint    style and formatting
 # make fuzz    random cases, as many as asked; `make fuzz N=1000`
 # make bench   speed, as ratios against the reference back end
+# make gallery draw every primitive and operation: docs/gallery.md and its pictures
 # make clean   remove outputs and caches (the environment in .venv stays)
 #
 # Each target first sets up .venv, and does so again only when setup.cfg, pyproject.toml or
@@ -24,7 +25,7 @@ SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c '$(SUPPORTED)' 2>/dev/null && { command -v $$p; break; }; done)
 
-.PHONY: help demo test lint fuzz bench clean
+.PHONY: help demo test lint fuzz bench gallery clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -44,6 +45,9 @@ fuzz: $(READY)
 
 bench: $(READY)
 	$(BIN)/implicit-warp bench
+
+gallery: $(READY)
+	$(BIN)/python docs/make_gallery.py $(ARGS)
 
 clean:
 	rm -rf out build dist *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from numbers import Real
 from typing import TypeAlias
 
@@ -52,6 +52,42 @@ def not_negative(argument: str, value: object) -> float:
     return result
 
 
+def between(argument: str, value: object, low: float, high: float) -> float:
+    """A finite number above `low` and below `high`."""
+    result = number(argument, value)
+    if not low < result < high:
+        raise InputError(
+            argument,
+            value,
+            f"it must be above {low:g} and below {high:g}",
+            "pass a number in this range",
+        )
+    return result
+
+
+def whole(argument: str, value: object, least: int = 1, most: int | None = None) -> int:
+    """A whole number in a range; 3.0 counts as 3."""
+    result = number(argument, value)
+    bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
+    if result != int(result) or result < least or (most is not None and result > most):
+        raise InputError(argument, value, f"it must be a whole number {bounds}", "pass an integer")
+    return int(result)
+
+
+def flag(argument: str, value: object) -> bool:
+    """True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(argument, value, "it is neither True nor False", "pass one of them")
+    return bool(value)
+
+
+def choice(argument: str, value: object, options: Sequence[str]) -> str:
+    """One of some words."""
+    if value not in options:
+        raise InputError(argument, value, "there is no such choice", f"use {' or '.join(options)}")
+    return str(value)
+
+
 def vector(argument: str, value: object) -> Vector:
     """Three finite numbers."""
     items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
@@ -59,6 +95,37 @@ def vector(argument: str, value: object) -> Vector:
         raise InputError(argument, value, "three numbers are needed", "pass (x, y, z)")
     x, y, z = (number(f"{argument}[{index}]", item) for index, item in enumerate(items))
     return (x, y, z)
+
+
+def pair(
+    argument: str, value: object, check: Callable[[str, object], float] = number
+) -> tuple[float, float]:
+    """Two checked numbers."""
+    try:
+        first, second = value  # type: ignore[misc]
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            argument, value, "not a pair of numbers", "pass two, such as (0, 1)"
+        ) from error
+    return (check(f"{argument}[0]", first), check(f"{argument}[1]", second))
+
+
+def interval(argument: str, value: object) -> tuple[float, float]:
+    """Two numbers, the second above the first, and not so near that dividing by it overflows."""
+    low, high = pair(argument, value)
+    if not low < high or not math.isfinite(1.0 / (high - low)):
+        raise InputError(argument, value, "an empty range", "pass (low, high) with low below high")
+    return (low, high)
+
+
+def points_array(argument: str, value: object, least: int) -> NDArray[np.float64]:
+    """At least so many points `(n, 3)`, all coordinates finite."""
+    items = value.tolist() if isinstance(value, np.ndarray | Tensor) else value
+    if not isinstance(items, list | tuple) or len(items) < least:
+        raise InputError(
+            argument, value, f"at least {least} points are needed", "pass ((x, y, z), ...)"
+        )
+    return np.array([vector(f"{argument}[{index}]", item) for index, item in enumerate(items)])
 
 
 def numbers_or_one(

@@ -19,9 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fields.errors import InputError
+from fields.tags import Box, Tags
+from fields.triangle_tree import Floats, Integers, TriangleTree
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+
+class ImperfectMesh(InputError):  # noqa: N818 (named for what is the matter)
+    """A mesh that is no closed, consistently oriented surface of a solid."""
 
 
 class Closest(NamedTuple):
@@ -34,6 +37,32 @@ class Closest(NamedTuple):
 
     signed_distance: Floats
     direction: Floats
+
+
+def directed(
+    away: Floats, sign: Floats, normal: Floats, use_normal: NDArray[np.bool_], size: Floats
+) -> Closest:
+    """Signed distances and their unit gradients.
+
+    On the surface there is no direction to the nearest point; and above the inside of a face the
+    normal is that direction, without its rounding.
+
+    Args:
+        away: `(n, 3)`, from the nearest points.
+        sign: `(n,)`, -1 inside, else 1.
+        normal: `(n, 3)`, of the surface at the nearest points, of any length.
+        use_normal: `(n,)`, where the normal is the gradient.
+        size: `(n,)`, that of the coordinates, which decides what counts as on the surface.
+    """
+    distance = np.linalg.norm(away, axis=1)
+    use_normal = use_normal | (distance <= 1e-12 * size)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        direction = np.where(
+            use_normal[:, None],
+            normal / np.linalg.norm(normal, axis=1, keepdims=True),
+            sign[:, None] * away / distance[:, None],
+        )
+    return Closest(sign * distance, np.nan_to_num(direction, nan=0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,30 +86,18 @@ class ClosedMesh:
     neighbours: Integers
     vertex_normals: Floats
 
-    def closest(self, points: Floats, triangles: Integers) -> Closest:
-        """Signed distances and their gradients, if the nearest triangles are known.
+    @property
+    def tags(self) -> Tags:
+        """Those of a true distance."""
+        return Tags.of_distance(extent_of(self.vertices, self.faces))
 
-        Args:
-            points: `(n, 3)`.
-            triangles: `(n,)`, for each point a face on which its nearest point lies.
-        """
-        corners = self.vertices[self.faces[triangles]]
-        best, feature = _closest_on_triangles(points, corners)
-        normal = self._pseudonormals(triangles, feature)
-        away = points - best
-        distance = np.linalg.norm(away, axis=1)
-        sign = np.where(np.einsum("ij,ij->i", away, normal) < 0, -1.0, 1.0)
-        # On the surface there is no direction to the nearest point; and above the inside
-        # of a face the normal is that direction, without its rounding.
-        size = np.abs(corners).max(axis=(1, 2))
-        use_normal = (distance <= 1e-12 * size) | (feature == 0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            direction = np.where(
-                use_normal[:, None],
-                normal / np.linalg.norm(normal, axis=1, keepdims=True),
-                sign[:, None] * away / distance[:, None],
-            )
-        return Closest(sign * distance, np.nan_to_num(direction, nan=0.0))
+    def closest(self, points: Floats, tree: TriangleTree) -> Closest:
+        """Signed distances and their gradients at points `(n, 3)`, by the tree of the faces."""
+        triangle, feature, foot = tree.nearest(points)
+        normal = self._pseudonormals(triangle, feature)
+        sign = np.where(np.einsum("ij,ij->i", points - foot, normal) < 0, -1.0, 1.0)
+        size = np.abs(self.vertices[self.faces[triangle]]).max(axis=(1, 2))
+        return directed(points - foot, sign, normal, feature == 0, size)
 
     def _pseudonormals(self, triangles: Integers, feature: Integers) -> Floats:
         normal = self.normals[triangles].copy()
@@ -90,44 +107,6 @@ class ClosedMesh:
             on_corner = feature == 4 + k
             normal[on_corner] = self.vertex_normals[self.faces[triangles[on_corner], k]]
         return normal
-
-
-def _closest_on_triangles(points: Floats, corners: Floats) -> tuple[Floats, Integers]:
-    """Nearest points `(n, 3)` of n triangles, and what they lie on.
-
-    Features: 0 the inside, 1 + k the edge from corner k to corner k + 1, 4 + k corner k.
-    The nearest of three edge points and, where it is in the triangle, of the foot of the
-    perpendicular: every candidate is on the triangle, so that a bad division in a needle
-    of a triangle can only lose to the others.
-    """
-    best = np.empty_like(points)
-    feature = np.zeros(len(points), dtype=np.int64)
-    least = np.full(len(points), np.inf)
-    for k in range(3):
-        start, end = corners[:, k], corners[:, (k + 1) % 3]
-        edge = end - start
-        squared = np.einsum("ij,ij->i", edge, edge)
-        along = np.einsum("ij,ij->i", points - start, edge)
-        t = np.clip(along / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
-        candidate = np.where(t[:, None] < 1, start + t[:, None] * edge, end)
-        distance = np.linalg.norm(points - candidate, axis=1)
-        nearer = distance < least
-        best[nearer], least[nearer] = candidate[nearer], distance[nearer]
-        on = np.where(t <= 0, 4 + k, np.where(t >= 1, 4 + (k + 1) % 3, 1 + k))
-        feature[nearer] = on[nearer]
-    origin = corners[:, 0]
-    first, second = corners[:, 1] - origin, corners[:, 2] - origin
-    cross = np.cross(first, second)
-    area = np.einsum("ij,ij->i", cross, cross)
-    relative = points - origin
-    scale = np.where(area > 0, area, np.inf)
-    v = np.einsum("ij,ij->i", np.cross(relative, second), cross) / scale
-    w = np.einsum("ij,ij->i", np.cross(first, relative), cross) / scale
-    foot = origin + v[:, None] * first + w[:, None] * second
-    inside = (v > 0) & (w > 0) & (v + w < 1)
-    inside &= np.linalg.norm(points - foot, axis=1) < least
-    best[inside], feature[inside] = foot[inside], 0
-    return best, feature
 
 
 # --- checking and preparing -----------------------------------------------------------
@@ -140,20 +119,21 @@ def closed_mesh(vertices: ArrayLike, faces: ArrayLike) -> ClosedMesh:
         InputError: it is empty, has NaN or infinite vertices, bad indices, open or
             non-manifold edges, faces turned against their neighbours, no volume, or is
             inside out.
+        ImperfectMesh: an InputError, for all but the first three of these and no volume.
     """
-    v, f = _checked_arrays(vertices, faces)
+    v, f = checked_arrays(vertices, faces)
+    _refuse_degenerate(f)
     neighbours = _neighbours(f)
-    # Volume about the mesh's own middle, so that a mesh far from the origin loses no digits.
-    corners = v[f] - (v[f].min(axis=(0, 1)) + v[f].max(axis=(0, 1))) / 2
+    corners = v[f]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    volume = float(np.einsum("ij,ij->", corners[:, 0], cross)) / 6
+    volume = signed_volume(corners)
     size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
     if abs(volume) <= 1e-12 * size**3:
         raise InputError(
             "mesh", f"volume {volume:g}", "it encloses nothing", "pass the surface of a solid"
         )
     if volume < 0:
-        raise InputError(
+        raise ImperfectMesh(
             "mesh",
             f"volume {volume:g}",
             "it is inside out: its normals point into the solid",
@@ -167,7 +147,27 @@ def closed_mesh(vertices: ArrayLike, faces: ArrayLike) -> ClosedMesh:
     return ClosedMesh(v, f, normals, neighbours, vertex_normals)
 
 
-def _checked_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, Integers]:
+def signed_volume(corners: Floats) -> float:
+    """The volume that closed triangles `(f, 3, 3)` enclose, negative if they are inside out.
+
+    About the middle of the mesh, so that one far from the origin loses no digits.
+    """
+    a, b, c = np.moveaxis(corners - (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2, 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b - a, c - a))) / 6
+
+
+def extent_of(vertices: Floats, faces: Integers) -> Box:
+    """The box of the vertices that faces use."""
+    used = vertices[np.unique(faces)]
+    return np.stack([used.min(axis=0), used.max(axis=0)])
+
+
+def checked_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, Integers]:
+    """Vertices `(v, 3)`, finite, and faces `(f, 3)` of them, at least one.
+
+    Raises:
+        InputError: they are something else.
+    """
     v, f = np.array(vertices, dtype=np.float64), np.asarray(faces)
     if v.size == 0 or f.size == 0:
         raise InputError(
@@ -200,15 +200,23 @@ def _checked_arrays(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, Inte
             f"there are only {len(v)} vertices",
             "check the step that made it",
         )
-    twice = (f == np.roll(f, -1, axis=1)).any(axis=1)
+    return v, f
+
+
+def uses_a_vertex_twice(faces: Integers) -> NDArray[np.bool_]:
+    """Which faces have fewer than three corners."""
+    return (faces == np.roll(faces, -1, axis=1)).any(axis=1)
+
+
+def _refuse_degenerate(faces: Integers) -> None:
+    twice = uses_a_vertex_twice(faces)
     if twice.any():
-        raise InputError(
+        raise ImperfectMesh(
             "mesh",
-            f"face {twice.argmax()} = {f[twice.argmax()].tolist()}",
+            f"face {twice.argmax()} = {faces[twice.argmax()].tolist()}",
             f"{twice.sum()} faces use a vertex twice",
             "remove degenerate faces",
         )
-    return v, f
 
 
 def _neighbours(faces: Integers) -> Integers:
@@ -224,7 +232,7 @@ def _neighbours(faces: Integers) -> Integers:
     repeated = np.flatnonzero(ordered[1:] == ordered[:-1])
     if len(repeated):
         edge = order[repeated[0]]
-        raise InputError(
+        raise ImperfectMesh(
             "mesh",
             f"edge {start[edge]} -> {end[edge]}",
             f"{len(repeated)} edges are used twice in the same direction: faces are turned "
@@ -236,7 +244,7 @@ def _neighbours(faces: Integers) -> Integers:
     is_open = ordered[position] != reverse
     if is_open.any():
         edge = is_open.argmax()
-        raise InputError(
+        raise ImperfectMesh(
             "mesh",
             f"edge {start[edge]} -> {end[edge]}",
             f"it is open: {is_open.sum()} edges have a face on one side only, so it has no inside",

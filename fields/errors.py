@@ -7,6 +7,9 @@ turn it into exit code 2.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class InputError(ValueError):
     """An argument that cannot be used.
@@ -30,12 +33,29 @@ class InputError(ValueError):
         super().__init__(f"{argument} = {_short(value)}: {cause}. {remedy}.")
 
 
+class FileFormatError(ValueError):
+    """A file is unreadable, truncated, or of a version this library does not know."""
+
+
 class MissingDependency(ImportError):  # noqa: N818 (named for what is the matter)
     """An optional library that a feature needs is not installed or does not load."""
 
     def __init__(self, library: str, needed_for: str, remedy: str) -> None:
         self.library = library
         super().__init__(f"{needed_for} needs {library}, which could not be imported. {remedy}.")
+
+
+@contextmanager
+def needing(library: str, needed_for: str) -> Iterator[None]:
+    """Around an import: if it fails, say what needs the library and how to get it."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingDependency(
+            library,
+            needed_for,
+            f"Install it with `pip install {library}` (the import said: {error})",
+        ) from error
 
 
 def _short(value: object, limit: int = 120) -> str:

@@ -283,6 +283,8 @@ def _simplified(name: str, nodes: tuple[Expression, ...]) -> Expression | None:
             return first
         case "negative" if first.kind == "negative":
             return first.arguments[0]
+        case "absolute" | "square" if first.kind == "negative":
+            return apply(name, first.arguments[0])
         case "minimum" | "maximum" if first is last:
             return first
     return None

@@ -14,8 +14,12 @@ from fields.base import made
 from fields.errors import InputError
 from fields.expression import Expression, X, Y, Z, call, remap
 from fields.methods.combinations import Combinations
+from fields.methods.copies import Copies
+from fields.methods.deformations import Deformations
 from fields.methods.evaluation import Evaluation
 from fields.methods.motions import Motions
+from fields.methods.solids import Solids
+from fields.methods.thickness import Thickness
 from fields.notation import Call, History, Opaque
 from fields.operations import Body
 from fields.oracle import FunctionOracle, Oracle
@@ -23,11 +27,12 @@ from fields.tags import EVERYWHERE, Tags
 
 
 @final
-class Field(Combinations, Evaluation, Motions):
+class Field(Combinations, Copies, Deformations, Evaluation, Motions, Solids, Thickness):
     """A scalar function on R^3 whose zero set is a surface; negative inside.
 
     Immutable. Made by the primitives (`fields.sphere` and so on), combined with `|`
-    (union), `&` (intersection) and `-` (difference), and by the methods below, each of
+    (union), `&` (intersection), `-` (difference), `^` (symmetric difference) and `~`
+    (complement), and by the methods below, each of
     which is also a function of the package (`fields.translate(a, v)` is
     `a.translate(v)`). Calling the class itself wraps an expression of `fields.expression`.
 

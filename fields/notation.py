@@ -22,10 +22,19 @@ LIMIT = 1_000_000
 """The longest text, in characters, that is written out. A graph that shares its parts
 can stand for a text that is exponentially larger than itself."""
 
-_OPERATORS = {"union": ("|", 1), "intersection": ("&", 2), "difference": ("-", 3)}
-_ATOM = 4
+_OPERATORS = {
+    "union": ("|", 1),
+    "symmetric_difference": ("^", 2),
+    "intersection": ("&", 3),
+    "difference": ("-", 4),
+}
+_ATOM = 5
 
-Literal: TypeAlias = "float | str | Opaque | tuple[Literal, ...]"
+_LONGEST_CHAIN = 100
+"""The most operands that are written with operators between them. Python's parser nests such a
+chain, and gives up at a few thousand; the arguments of a call it only lists."""
+
+Literal: TypeAlias = "float | bool | str | Opaque | tuple[Literal, ...]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +65,7 @@ History: TypeAlias = "Call | Opaque"
 
 
 def literal(value: object) -> Literal:
-    """A value as it will be written: numbers as floats, arrays as tuples.
+    """A value as it will be written: numbers as floats, arrays as tuples, flags as they are.
 
     Takes a copy, so that a later change of an array does not change the record.
     """
@@ -64,7 +73,7 @@ def literal(value: object) -> Literal:
         value = value.tolist()
     if isinstance(value, list | tuple):
         return tuple(literal(item) for item in value)
-    if isinstance(value, str | Opaque):
+    if isinstance(value, str | bool | Opaque):
         return value
     if isinstance(value, PathLike):
         return str(fspath(value))
@@ -72,11 +81,14 @@ def literal(value: object) -> Literal:
 
 
 def defaults(function: Callable[..., object]) -> dict[str, object]:
-    """The parameters of a function that have default values, with these."""
+    """The parameters of a function that have default values, with these.
+
+    And those that can be given by keyword only, with `Parameter.empty` if they have none.
+    """
     return {
         name: parameter.default
         for name, parameter in signature(function).parameters.items()
-        if parameter.default is not Parameter.empty
+        if parameter.default is not Parameter.empty or parameter.kind is Parameter.KEYWORD_ONLY
     }
 
 
@@ -92,8 +104,8 @@ def recorded(
         name: of the function.
         operands: the fields it was applied to.
         arguments: the other arguments by the names of their parameters, in order.
-        optional: the parameters that have a default value, with it. They are written
-            as keywords, and left out where the argument equals the default.
+        optional: the parameters that are written as keywords, with their default values, as
+            `defaults` gives them. They are left out where the argument equals the default.
     """
     return Call(
         name,
@@ -108,7 +120,7 @@ def recorded(
 
 
 def _is_default(value: object, default: object) -> bool:
-    if value is None or default is None:
+    if value is None or default is None or default is Parameter.empty:
         return value is default
     return literal(value) == literal(default)
 
@@ -142,7 +154,8 @@ def _spelled(field: Field, precedence: int) -> list[str | tuple[Field, int]]:
     history = field.history
     if isinstance(history, Opaque):
         return [_literal_text(history)]
-    if history.name in _OPERATORS and not history.arguments and not history.keywords:
+    plain = not history.arguments and not history.keywords
+    if plain and history.name in _OPERATORS and len(history.operands) <= _LONGEST_CHAIN:
         symbol, own = _OPERATORS[history.name]
         # Operators group to the left, so only operands on the right need parentheses
         # around an operator of the same precedence.

@@ -11,9 +11,10 @@ Sets below: A = {a <= 0}, and A + t for the extent of A grown by growth * t.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import reduce
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,12 +28,23 @@ from fields.expression import (
     X,
     Y,
     Z,
+    exp,
+    log,
     maximum,
     minimum,
     remap,
-    square,
 )
-from fields.tags import EVERYWHERE, Tags, are_apart, grown, hull, largest, linear_image, overlap
+from fields.joints import Joint, Profile, chosen, with_joints
+from fields.tags import (
+    EVERYWHERE,
+    Tags,
+    are_apart,
+    deepened,
+    hull,
+    largest,
+    linear_image,
+    overlap,
+)
 
 Matrix: TypeAlias = NDArray[np.float64]
 
@@ -45,6 +57,9 @@ class Body(NamedTuple):
 
 
 Rule = Callable[..., Body]
+
+_ROUNDED_UP = 1 + 1e-14
+"""For norms that a decomposition computes, to some units in the last place."""
 
 RULES: dict[str, Rule] = {}
 """Every operation on fields by name: the methods that `fields.parse` accepts, and the
@@ -61,76 +76,125 @@ def rule(function: Rule) -> Rule:
 
 
 @rule
-def union(*bodies: Body, smooth: float = 0.0) -> Body:
-    """min(a, b), or with a blend radius k: min(a, b) - max(k - |a - b|, 0)**2 / (4 k).
+@with_joints
+def union(*bodies: Body, **joint: Unpack[Joint]) -> Body:
+    """min(a, b), or with a joint: min(a, b) - material(|a - b|), see `fields.joints`.
 
     Lipschitz: the gradient is a convex combination of both, so the larger bound holds.
     Exact: the minimum of distances is exact outside, but inside an overlap it measures
     to surface that is no longer there. If the extents are apart there is no overlap,
     and every way from inside one to the surface of the other meets its own first.
-    Extent: {min <= t} is the union of A + t and B + t. The blend lies at most k/4 below
-    the minimum, so it is within the same sets with t + k/4 in place of t.
+    Extent: {min <= t} is the union of A + t and B + t. A joint lies at most its depth
+    below the minimum, so it is within the same sets with t + depth in place of t.
     """
-    radius = arguments.not_negative("smooth", smooth)
-    return reduce(lambda a, b: _union(a, b, radius), bodies)
-
-
-def _union(a: Body, b: Body, radius: float) -> Body:
-    growth = largest([a.tags.growth, b.tags.growth])
-    extent = hull(a.tags.extent, b.tags.extent)
-    if radius == 0:
-        expression = minimum(a.expression, b.expression)
-        exact = a.tags.exact and b.tags.exact and are_apart(a.tags.extent, b.tags.extent)
-    else:
-        expression = minimum(a.expression, b.expression) - _bulge(a, b, radius)
-        exact = False
-        extent = EVERYWHERE if growth is None else grown(extent, growth * radius / 4)
-    lipschitz = largest([a.tags.lipschitz, b.tags.lipschitz])
-    return Body(expression, Tags(exact, lipschitz, extent, growth))
+    return _folded(bodies, chosen(joint), _union, _soft_union)
 
 
 @rule
-def intersection(*bodies: Body, smooth: float = 0.0) -> Body:
-    """max(a, b), or with a blend radius k: max(a, b) + max(k - |a - b|, 0)**2 / (4 k).
+@with_joints
+def intersection(*bodies: Body, **joint: Unpack[Joint]) -> Body:
+    """max(a, b), or with a joint: max(a, b) + material(|a - b|), see `fields.joints`.
 
     Lipschitz: as for the union. Exact: never claimed; outside, near an edge where two
     surfaces meet, the maximum is less than the distance.
     Extent: {max <= t} is the intersection of A + t and B + t, and boxes grown on all
-    sides overlap in the grown overlap. The blend only adds to the maximum. A field
+    sides overlap in the grown overlap. A joint only adds to the maximum. A field
     whose extent is everything restricts nothing, so its growth does not matter.
     """
-    radius = arguments.not_negative("smooth", smooth)
-    return reduce(lambda a, b: _intersection(a, b, radius), bodies)
-
-
-def _intersection(a: Body, b: Body, radius: float) -> Body:
-    expression = maximum(a.expression, b.expression)
-    if radius > 0:
-        expression = expression + _bulge(a, b, radius)
-    restricting = [tags for tags in (a.tags, b.tags) if np.isfinite(tags.extent).any()]
-    return Body(
-        expression,
-        Tags(
-            exact=False,
-            lipschitz=largest([a.tags.lipschitz, b.tags.lipschitz]),
-            extent=overlap(a.tags.extent, b.tags.extent),
-            growth=largest([1.0, *(tags.growth for tags in restricting)]),
-        ),
-    )
+    return _folded(bodies, chosen(joint), _intersection, _soft_intersection)
 
 
 @rule
-def difference(*bodies: Body, smooth: float = 0.0) -> Body:
+@with_joints
+def difference(*bodies: Body, **joint: Unpack[Joint]) -> Body:
     """max(a, -b): the intersection of the first with the complements of the others."""
     first, *others = bodies
-    return intersection(first, *(negate(other) for other in others), smooth=smooth)
+    return intersection(first, *(negate(other) for other in others), **joint)
 
 
-def _bulge(a: Body, b: Body, radius: float) -> Expression:
-    # With d = a - b and |d| < k the blended gradient is (1/2 - d/2k) grad a
-    # + (1/2 + d/2k) grad b: weights in [0, 1] that sum to 1, and 0 or 1 at |d| = k.
-    nearness = maximum(radius - abs(a.expression - b.expression), 0.0)
-    return square(nearness) * (0.25 / radius)
+@rule
+def symmetric_difference(*bodies: Body) -> Body:
+    """max(min(a, b), -max(a, b)): in a or in b, but not in both.
+
+    Lipschitz: every piece is a or b or a complement. Exact: not claimed, as for the
+    difference. Extent: the value is at least min(a, b), so that of the union holds.
+    """
+    return reduce(_symmetric_difference, bodies)
+
+
+def _folded(
+    bodies: Sequence[Body],
+    profile: Profile | None,
+    pair: Callable[[Body, Body, Profile | None], Body],
+    exponential: Callable[[Sequence[Body], float], Body],
+) -> Body:
+    """From left to right, but the exponential joint all at once: its order plays no part."""
+    if profile is not None and profile.name == "exponential" and len(bodies) > 1:
+        return exponential(bodies, profile.size)
+    return reduce(lambda a, b: pair(a, b, profile), bodies)
+
+
+def _union(a: Body, b: Body, profile: Profile | None) -> Body:
+    expression, tags = minimum(a.expression, b.expression), _tags_of_union(a.tags, b.tags)
+    if profile is None:
+        return Body(expression, tags)
+    return Body(expression - _material(a, b, profile), deepened(tags, profile.depth))
+
+
+def _intersection(a: Body, b: Body, profile: Profile | None) -> Body:
+    expression, tags = maximum(a.expression, b.expression), _tags_of_intersection(a.tags, b.tags)
+    if profile is not None:
+        expression = expression + _material(a, b, profile)
+    return Body(expression, tags)
+
+
+def _symmetric_difference(a: Body, b: Body) -> Body:
+    either, both = minimum(a.expression, b.expression), maximum(a.expression, b.expression)
+    return Body(maximum(either, -both), replace(_tags_of_union(a.tags, b.tags), exact=False))
+
+
+def _material(a: Body, b: Body, profile: Profile) -> Expression:
+    return profile.material(abs(a.expression - b.expression))
+
+
+def _soft_union(bodies: Sequence[Body], size: float) -> Body:
+    tags = reduce(_tags_of_union, (body.tags for body in bodies))
+    expression = _soft_minimum([body.expression for body in bodies], size)
+    return Body(expression, deepened(tags, size * math.log(len(bodies))))
+
+
+def _soft_intersection(bodies: Sequence[Body], size: float) -> Body:
+    tags = reduce(_tags_of_intersection, (body.tags for body in bodies))
+    return Body(-_soft_minimum([-body.expression for body in bodies], size), tags)
+
+
+def _soft_minimum(values: Sequence[Expression], size: float) -> Expression:
+    """-size log(sum of exp(-value / size)), with the least value taken out of the exponentials.
+
+    Its gradient is the mean of all gradients with those exponentials as weights.
+    """
+    least = minimum(*values)
+    total = reduce(lambda a, b: a + b, (exp((least - value) / size) for value in values))
+    return least - log(total) * size
+
+
+def _tags_of_union(a: Tags, b: Tags) -> Tags:
+    return Tags(
+        exact=a.exact and b.exact and are_apart(a.extent, b.extent),
+        lipschitz=largest([a.lipschitz, b.lipschitz]),
+        extent=hull(a.extent, b.extent),
+        growth=largest([a.growth, b.growth]),
+    )
+
+
+def _tags_of_intersection(a: Tags, b: Tags) -> Tags:
+    restricting = [tags for tags in (a, b) if np.isfinite(tags.extent).any()]
+    return Tags(
+        exact=False,
+        lipschitz=largest([a.lipschitz, b.lipschitz]),
+        extent=overlap(a.extent, b.extent),
+        growth=largest([1.0, *(tags.growth for tags in restricting)]),
+    )
 
 
 @rule
@@ -159,17 +223,19 @@ def rotate(body: Body, rotation: float | ArrayLike, axis: str | ArrayLike = "z")
         turn = _turn(arguments.number("rotation", rotation), arguments.direction("axis", axis))
     else:
         turn = _rotation_matrix(rotation)
-    return _rotated(body, turn)
+    return rotated(body, turn)
 
 
 @rule
 def orient(body: Body, axis: str | ArrayLike) -> Body:
     """a(R^T p), for R the shortest turn that sends +z to the axis."""
-    return _rotated(body, _shortest_turn(arguments.direction("axis", axis)))
+    return rotated(body, shortest_turn(arguments.direction("axis", axis)))
 
 
-def _rotated(body: Body, turn: Matrix) -> Body:
-    """The box around a rotated cube is wider than the cube by the largest row sum of |R|.
+def rotated(body: Body, turn: Matrix) -> Body:
+    """a(R^T p), for R an orthogonal matrix, which may also reflect.
+
+    The box around a rotated cube is wider than the cube by the largest row sum of |R|.
 
     A distance has growth 1 in any position; other growths take that factor.
     """
@@ -180,6 +246,23 @@ def _rotated(body: Body, turn: Matrix) -> Body:
     extent = linear_image(tags.extent, turn)
     expression = remap(body.expression, _linear_coordinates(turn.T))
     return Body(expression, Tags(tags.exact, tags.lipschitz, extent, growth))
+
+
+def about_axis(
+    body: Body,
+    axis: Vector,
+    origin: Vector,
+    change: Callable[[Body], Body],
+    towards: Vector | None = None,
+) -> Body:
+    """A change of a body made in coordinates measured from an origin, with z along an axis.
+
+    Args:
+        towards: a direction that x follows as far as it is across the axis; any if None.
+    """
+    frame, place = axis_frame(axis, towards), np.array(origin)
+    local = rotated(translate(body, -place), frame.T)
+    return translate(rotated(change(local), frame), place)
 
 
 @rule
@@ -202,40 +285,27 @@ def scale(body: Body, factor: float | ArrayLike) -> Body:
     return Body(remap(body.expression, (X / x, Y / y, Z / z)) * least, tags)
 
 
-# --- thickness ------------------------------------------------------------------------
-
-
 @rule
-def offset(body: Body, distance: float) -> Body:
-    """a - distance: the level set a = distance becomes the surface.
+def affine(body: Body, linear: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
+    """a(M^-1 (p - translation)).
 
-    Exact: not claimed. Growing an exact distance leaves it exact outside the new
-    surface; inside, beyond a concave part, it measures to surface that has merged away.
-    Extent: grows by growth * distance. Shrinking by r leaves points of depth r, which
-    are r / lipschitz away from the old surface, hence from the extent's sides.
+    Lipschitz: times the norm of M^-1. Exact: not claimed. Extent: a point of the box grown by d
+    is moved at most d times the largest row sum of |M| farther along an axis than one of the box.
     """
-    amount = arguments.number("distance", distance)
-    tags = body.tags
-    extent, growth = tags.extent, tags.growth
-    if amount > 0:
-        extent = EVERYWHERE if growth is None else grown(extent, growth * amount)
-    elif amount < 0 and tags.lipschitz:
-        extent = grown(extent, amount / tags.lipschitz)
-        growth = None if growth is None else max(growth, 1 / tags.lipschitz)
-    exact = tags.exact and amount == 0
-    return Body(body.expression - amount, Tags(exact, tags.lipschitz, extent, growth))
-
-
-@rule
-def shell(body: Body, thickness: float) -> Body:
-    """|a| - thickness / 2: the points with |a| <= thickness / 2.
-
-    Exact: not claimed, for the reason given for the offset.
-    """
-    half = arguments.positive("thickness", thickness) / 2
-    tags = body.tags
-    extent = EVERYWHERE if tags.growth is None else grown(tags.extent, tags.growth * half)
-    return Body(abs(body.expression) - half, Tags(False, tags.lipschitz, extent, tags.growth))
+    matrix = _invertible(linear)
+    shift = np.array(arguments.vector("translation", translation))
+    inverse, tags = np.linalg.inv(matrix), body.tags
+    stretch = float(np.linalg.norm(inverse, 2)) * _ROUNDED_UP
+    spread = float(np.abs(matrix).sum(axis=1).max())
+    expression = remap(body.expression, _linear_coordinates(inverse))
+    x, y, z = shift.tolist()
+    moved = Tags(
+        exact=False,
+        lipschitz=None if tags.lipschitz is None else tags.lipschitz * stretch,
+        extent=linear_image(tags.extent, matrix) + shift,
+        growth=None if tags.growth is None else tags.growth * spread,
+    )
+    return Body(remap(expression, (X - x, Y - y, Z - z)), moved)
 
 
 # --- rotation matrices ----------------------------------------------------------------
@@ -251,6 +321,24 @@ def _cross_matrix(axis: ArrayLike) -> Matrix:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def axis_frame(axis: ArrayLike, towards: ArrayLike | None = None) -> Matrix:
+    """A rotation whose third column is a unit axis, and whose first turns to `towards`.
+
+    Raises:
+        InputError: `towards` is along the axis.
+    """
+    axis = np.asarray(axis, dtype=np.float64)
+    direction = np.eye(3)[np.abs(axis).argmin()] if towards is None else np.asarray(towards)
+    across = direction - (direction @ axis) * axis
+    length = np.linalg.norm(across)
+    if length < 1e-6:
+        raise InputError(
+            "towards", towards, "it is along the axis", "pass a direction across the axis"
+        )
+    first = across / length
+    return np.stack([first, np.cross(axis, first), axis], 1)
+
+
 def _turn(degrees: float, axis: Vector) -> Matrix:
     """Rodrigues' formula; quarter turns about x, y or z are exact permutations."""
     quarters, rest = divmod(degrees, 90.0)
@@ -261,7 +349,7 @@ def _turn(degrees: float, axis: Vector) -> Matrix:
     return np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)
 
 
-def _shortest_turn(target: Vector) -> Matrix:
+def shortest_turn(target: Vector) -> Matrix:
     """The rotation by the least angle that sends +z to a unit vector.
 
     I + K + K^2 / (1 + c), with K the cross product with z x target and c = target . z.
@@ -276,15 +364,30 @@ def _shortest_turn(target: Vector) -> Matrix:
     return np.eye(3) + cross + cross @ cross / divisor
 
 
-def _rotation_matrix(value: ArrayLike) -> Matrix:
-    """A given matrix, checked to 1e-6 (what float32 rounding leaves) and made orthogonal."""
+def _invertible(value: ArrayLike) -> Matrix:
+    remedy = "pass a 3x3 matrix, which may shear, stretch, turn and reflect, but not flatten"
+    matrix = _matrix("linear", value, remedy)
+    with np.errstate(divide="ignore"):
+        condition = np.linalg.cond(matrix)
+    if not condition < 1 / np.finfo(np.float64).eps:
+        raise InputError("linear", value, "it is singular: it flattens space", remedy)
+    return matrix
+
+
+def _matrix(argument: str, value: ArrayLike, remedy: str) -> Matrix:
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         matrix = np.empty(0)
-    remedy = "pass a 3x3 rotation matrix, or an angle in degrees and an axis"
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise InputError("rotation", value, "it is not a 3x3 matrix of finite numbers", remedy)
+        raise InputError(argument, value, "it is not a 3x3 matrix of finite numbers", remedy)
+    return matrix
+
+
+def _rotation_matrix(value: ArrayLike) -> Matrix:
+    """A given matrix, checked to 1e-6 (what float32 rounding leaves) and made orthogonal."""
+    remedy = "pass a 3x3 rotation matrix, or an angle in degrees and an axis"
+    matrix = _matrix("rotation", value, remedy)
     error = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if error > 1e-6 or np.linalg.det(matrix) < 0:
         cause = (

@@ -16,6 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fields.errors import InputError
+
 Boxes = NDArray[np.float64]
 """Boxes `(n, 2, 3)`, rows minimum and maximum."""
 
@@ -55,6 +57,7 @@ def enclose_by_lipschitz(oracle: Oracle, boxes: Boxes, lipschitz: float) -> NDAr
 
     The value at a box's centre, give or take the way to its corners. The value is computed in
     float64, and 1e-9 of it (or of the box's distance from the origin) is allowed for its rounding.
+    Where it is NaN nothing is known.
     """
     centres = 0.5 * (boxes[:, 0] + boxes[:, 1])
     with torch.no_grad():
@@ -62,12 +65,16 @@ def enclose_by_lipschitz(oracle: Oracle, boxes: Boxes, lipschitz: float) -> NDAr
     reach = lipschitz * np.linalg.norm(boxes[:, 1] - centres, axis=1)
     rounding = np.maximum(np.abs(values), lipschitz * np.linalg.norm(centres, axis=1)[:, None])
     margin = (reach * (1 + 1e-9))[:, None] + 1e-9 * rounding
-    return np.stack([values - margin, values + margin], axis=-1)
+    bounds = np.stack([values - margin, values + margin], axis=-1)
+    return np.where(np.isnan(bounds), (-np.inf, np.inf), bounds)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FunctionOracle:
     """A plain torch function as an oracle.
+
+    Values in another floating dtype than the points', such as those of a network in float32, are
+    converted.
 
     Args:
         function: maps points `(..., 3)` to `(..., outputs)`; with one output it may
@@ -83,8 +90,21 @@ class FunctionOracle:
     lipschitz: float | None = None
 
     def __call__(self, points: Tensor) -> Tensor:
-        """Values `(..., outputs)` at points `(..., 3)`."""
+        """Values `(..., outputs)` at points `(..., 3)`.
+
+        Raises:
+            InputError: the function returned numbers that are not real.
+        """
         values = self.function(points)
+        if isinstance(values, Tensor) and values.dtype != points.dtype:
+            if not values.is_floating_point():
+                raise InputError(
+                    self.name,
+                    values.dtype,
+                    "the function must return real numbers",
+                    "convert them to the points' dtype; for a mask, use fields.from_occupancy",
+                )
+            values = values.to(points.dtype)
         if self.outputs == 1 and isinstance(values, Tensor) and values.shape == points.shape[:-1]:
             return values.unsqueeze(-1)
         return values

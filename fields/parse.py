@@ -14,15 +14,19 @@ from typing import NoReturn
 
 from fields.errors import InputError
 from fields.field import Field
+from fields.grid_files import load_grid
 from fields.mesh import mesh
+from fields.neural.storing import load_neural
+from fields.notation import LIMIT
 from fields.operations import RULES
 from fields.primitives import PRIMITIVES
-
-LIMIT = 100_000
-"""The longest text, in characters, that is read."""
+from fields.profiles.drawing import svg
+from fields.profiles.lettering import text as lettering
+from fields.profiles.picture import image
 
 _OPERATORS: dict[type[ast.operator], Callable[[Field, Field], Field]] = {
     ast.BitOr: Field.__or__,
+    ast.BitXor: Field.__xor__,
     ast.BitAnd: Field.__and__,
     ast.Sub: Field.__sub__,
 }
@@ -38,14 +42,17 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
     `field`, if its `repr` has no angle brackets.
 
     Allowed are the primitives (`sphere`, `below`, ...), the operations as functions and
-    as methods (`union(a, b)`, `a.translate((0, 0, 1))`), the operators `|`, `&` and `-`
-    between fields, numbers with a sign, strings, tuples, lists, and keyword arguments.
+    as methods (`union(a, b)`, `a.translate((0, 0, 1))`), the operators `|`, `^`, `&` and
+    `-` between fields and `~` before one, numbers with a sign, strings, tuples, lists,
+    and keyword arguments.
 
     Args:
-        text: one expression of at most 100,000 characters, with at most 200 parentheses
-            open at once (a limit of Python's own parser) and chains of at most some
-            hundreds of steps.
-        allow_files: also allow `mesh("path")`, which reads a file.
+        text: one expression of at most 1,000,000 characters (as many as `repr` writes),
+            with at most 200 parentheses open at once (a limit of Python's own parser) and
+            chains of at most some hundreds of steps. Lists may be long: of the arguments
+            of a union, say.
+        allow_files: also allow `mesh`, `load_grid`, `load_neural`, `text`, `svg` and `image`,
+            which read files (of a text, the font).
 
     Raises:
         InputError: the text is not such an expression; the message names the column
@@ -77,6 +84,16 @@ def parse(text: str, *, allow_files: bool = False) -> Field:
     return value
 
 
+_FILE_READERS: dict[str, Callable[..., Field]] = {
+    "load_grid": load_grid,
+    "load_neural": load_neural,
+    "mesh": mesh,
+    "text": lettering,
+    "svg": svg,
+    "image": image,
+}
+
+
 class _Reader:
     """Computes the value of a syntax tree, and says where it cannot."""
 
@@ -85,7 +102,7 @@ class _Reader:
         self.indent = len(text) - len(text.lstrip())
         self.constructors: dict[str, Callable[..., Field]] = {**PRIMITIVES, **_METHODS}
         if allow_files:
-            self.constructors["mesh"] = mesh
+            self.constructors.update(_FILE_READERS)
 
     def refuse(self, column: int | None, cause: str, remedy: str | None = None) -> NoReturn:
         where = "" if column is None else f"column {column}: "
@@ -94,8 +111,8 @@ class _Reader:
             self.text,
             where + cause,
             remedy
-            or "allowed are constructors and operations of fields, the operators | & - between "
-            "fields, signed numbers, strings, tuples and lists",
+            or "allowed are constructors and operations of fields, the operators | ^ & - between "
+            "fields, ~ before one, signed numbers, strings, tuples and lists",
         ) from None
 
     def column(self, node: ast.expr, at_end: bool = False) -> int:
@@ -141,9 +158,14 @@ class _Reader:
                     self.refuse(
                         self.column(node),
                         "only numbers take a sign",
-                        "for the complement of a field use .negate()",
+                        "for the complement of a field use ~ or .negate()",
                     )
                 return -number if isinstance(node.op, ast.USub) else number
+            case ast.UnaryOp(op=ast.Invert(), operand=operand):
+                field = self.value(operand)
+                if not isinstance(field, Field):
+                    self.refuse(self.column(node), "only fields have a complement")
+                return ~field
             case ast.Tuple(elts=items) | ast.List(elts=items):
                 return tuple(self.value(item) for item in items)
             case ast.Call(func=ast.Name(id=name)):
@@ -163,7 +185,7 @@ class _Reader:
         self.refuse(self.column(node), f"this kind of expression ({kind}) is not allowed")
 
     def _refuse_name(self, node: ast.expr, name: str) -> NoReturn:
-        if name == "mesh":
+        if name in _FILE_READERS:
             self.refuse(
                 self.column(node),
                 "reading files is not permitted here",

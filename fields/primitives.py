@@ -25,8 +25,6 @@ from numpy.typing import ArrayLike
 from fields import arguments, notation
 from fields.errors import InputError
 from fields.expression import (
-    Coordinates,
-    Expression,
     X,
     Y,
     Z,
@@ -34,13 +32,12 @@ from fields.expression import (
     length,
     maximum,
     minimum,
-    where_negative,
 )
 from fields.field import Field, make_field
+from fields.formulas import ORIGIN, about, box_distance, exact_body, outside_or_faces
 from fields.operations import Body
 from fields.tags import EVERYWHERE, Box, Tags
 
-_ORIGIN = (0.0, 0.0, 0.0)
 _P = ParamSpec("_P")
 
 PRIMITIVES: dict[str, Callable[..., Field]] = {}
@@ -65,33 +62,11 @@ def primitive(function: Callable[_P, Body]) -> Callable[_P, Field]:
     return constructor
 
 
-def _body(expression: Expression, low: ArrayLike, high: ArrayLike) -> Body:
-    extent = np.stack([np.asarray(low, np.float64), np.asarray(high, np.float64)])
-    return Body(expression, Tags.of_distance(extent))
-
-
-def _about(center: ArrayLike) -> tuple[arguments.Vector, Coordinates]:
-    x, y, z = arguments.vector("center", center)
-    return (x, y, z), (X - x, Y - y, Z - z)
-
-
-def _outside_or_faces(faces: Expression, outside: Expression) -> Expression:
-    """`outside` where some face distance is positive, else the largest face distance."""
-    return where_negative(-faces, outside, faces)
-
-
-def _box_distance(offsets: tuple[Expression, ...]) -> Expression:
-    """The distance to {all offsets <= 0}, for offsets measured along orthogonal axes."""
-    return _outside_or_faces(
-        maximum(*offsets), length(*(maximum(offset, 0.0) for offset in offsets))
-    )
-
-
 # --- solids ---------------------------------------------------------------------------
 
 
 @primitive
-def sphere(radius: float, center: ArrayLike = _ORIGIN) -> Body:
+def sphere(radius: float, center: ArrayLike = ORIGIN) -> Body:
     """A ball: |p - center| - radius.
 
     Args:
@@ -99,12 +74,12 @@ def sphere(radius: float, center: ArrayLike = _ORIGIN) -> Body:
         center: `(3,)`.
     """
     r = arguments.positive("radius", radius)
-    c, (x, y, z) = _about(center)
-    return _body(length(x, y, z) - r, np.subtract(c, r), np.add(c, r))
+    c, (x, y, z) = about(center)
+    return exact_body(length(x, y, z) - r, np.subtract(c, r), np.add(c, r))
 
 
 @primitive
-def box(size: float | ArrayLike, center: ArrayLike = _ORIGIN) -> Body:
+def box(size: float | ArrayLike, center: ArrayLike = ORIGIN) -> Body:
     """A box with sides along the axes.
 
     Args:
@@ -112,9 +87,9 @@ def box(size: float | ArrayLike, center: ArrayLike = _ORIGIN) -> Body:
         center: `(3,)`.
     """
     half = np.array(arguments.numbers_or_one("size", size)) / 2
-    c, axes = _about(center)
+    c, axes = about(center)
     offsets = tuple(abs(axis) - float(h) for axis, h in zip(axes, half, strict=True))
-    return _body(_box_distance(offsets), np.subtract(c, half), np.add(c, half))
+    return exact_body(box_distance(offsets), np.subtract(c, half), np.add(c, half))
 
 
 @primitive
@@ -136,7 +111,7 @@ def rounded_box(size: float | ArrayLike, radius: float) -> Body:
         )
     # A convex body grown by r stays an exact distance, inside and out.
     offsets = tuple(abs(axis) - float(h) for axis, h in zip((X, Y, Z), half - r, strict=True))
-    return _body(_box_distance(offsets) - r, -half, half)
+    return exact_body(box_distance(offsets) - r, -half, half)
 
 
 @primitive
@@ -150,9 +125,9 @@ def cylinder(radius: float, height: float | None = None) -> Body:
     r = arguments.positive("radius", radius)
     side = length(X, Y) - r
     if height is None:
-        return _body(side, (-r, -r, -math.inf), (r, r, math.inf))
+        return exact_body(side, (-r, -r, -math.inf), (r, r, math.inf))
     h = arguments.positive("height", height) / 2
-    return _body(_box_distance((side, abs(Z) - h)), (-r, -r, -h), (r, r, h))
+    return exact_body(box_distance((side, abs(Z) - h)), (-r, -r, -h), (r, r, h))
 
 
 @primitive
@@ -175,7 +150,7 @@ def capsule(a: ArrayLike, b: ArrayLike, radius: float) -> Body:
     dot = sum((q * c for q, c in zip(relative, along, strict=True)), start=0.0)
     t = clamp(dot / squared, 0.0, 1.0)
     distance = length(*(q - t * c for q, c in zip(relative, along, strict=True)))
-    return _body(distance - r, np.minimum(start, end) - r, np.maximum(start, end) + r)
+    return exact_body(distance - r, np.minimum(start, end) - r, np.maximum(start, end) + r)
 
 
 @primitive
@@ -195,7 +170,7 @@ def torus(major: float, minor: float) -> Body:
         )
     reach = ring + tube
     distance = length(length(X, Y) - ring, Z) - tube
-    return _body(distance, (-reach, -reach, -tube), (reach, reach, tube))
+    return exact_body(distance, (-reach, -reach, -tube), (reach, reach, tube))
 
 
 @primitive
@@ -219,15 +194,15 @@ def cone(radius: float, height: float) -> Body:
     base = below_apex - h
     to_side = length(side, along - clamp(along, 0.0, slant))
     to_base = length(base, maximum(across - r, 0.0))
-    distance = _outside_or_faces(maximum(side, base), minimum(to_side, to_base))
-    return _body(distance, (-r, -r, -h / 2), (r, r, h / 2))
+    distance = outside_or_faces(maximum(side, base), minimum(to_side, to_base))
+    return exact_body(distance, (-r, -r, -h / 2), (r, r, h / 2))
 
 
 # --- half-spaces ----------------------------------------------------------------------
 
 
 @primitive
-def plane(normal: str | ArrayLike, point: ArrayLike = _ORIGIN) -> Body:
+def plane(normal: str | ArrayLike, point: ArrayLike = ORIGIN) -> Body:
     """The half-space behind a plane: n . (p - point), negative on the side opposite n.
 
     Args:
@@ -256,39 +231,39 @@ def _half_space_extent(normal: arguments.Vector, height: float) -> Box:
 def below(z: float) -> Body:
     """The half-space of points with a smaller z."""
     value = arguments.number("z", z)
-    return _body(Z - value, (-math.inf,) * 3, (math.inf, math.inf, value))
+    return exact_body(Z - value, (-math.inf,) * 3, (math.inf, math.inf, value))
 
 
 @primitive
 def above(z: float) -> Body:
     """The half-space of points with a larger z."""
     value = arguments.number("z", z)
-    return _body(value - Z, (-math.inf, -math.inf, value), (math.inf,) * 3)
+    return exact_body(value - Z, (-math.inf, -math.inf, value), (math.inf,) * 3)
 
 
 @primitive
 def left(x: float) -> Body:
     """The half-space of points with a smaller x."""
     value = arguments.number("x", x)
-    return _body(X - value, (-math.inf,) * 3, (value, math.inf, math.inf))
+    return exact_body(X - value, (-math.inf,) * 3, (value, math.inf, math.inf))
 
 
 @primitive
 def right(x: float) -> Body:
     """The half-space of points with a larger x."""
     value = arguments.number("x", x)
-    return _body(value - X, (value, -math.inf, -math.inf), (math.inf,) * 3)
+    return exact_body(value - X, (value, -math.inf, -math.inf), (math.inf,) * 3)
 
 
 @primitive
 def front(y: float) -> Body:
     """The half-space of points with a smaller y (nearer to a viewer who looks along +y)."""
     value = arguments.number("y", y)
-    return _body(Y - value, (-math.inf,) * 3, (math.inf, value, math.inf))
+    return exact_body(Y - value, (-math.inf,) * 3, (math.inf, value, math.inf))
 
 
 @primitive
 def behind(y: float) -> Body:
     """The half-space of points with a larger y."""
     value = arguments.number("y", y)
-    return _body(value - Y, (-math.inf, value, -math.inf), (math.inf,) * 3)
+    return exact_body(value - Y, (-math.inf, value, -math.inf), (math.inf,) * 3)

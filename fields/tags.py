@@ -22,7 +22,7 @@ the middle of the gap; the growth law still holds for it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,16 @@ def are_apart(first: Box, second: Box) -> bool:
 def grown(box: Box, distance: float) -> Box:
     """The box with every side moved outwards; inwards if the distance is negative."""
     return _not_inverted(box[0] - distance, box[1] + distance)
+
+
+def deepened(tags: Tags, depth: float) -> Tags:
+    """The tags of a field that is less by at most `depth`, with the same Lipschitz bound.
+
+    Extent: {f - depth <= t} is {f <= t + depth}.
+    """
+    unknown = tags.growth is None
+    extent = EVERYWHERE if unknown else grown(tags.extent, tags.growth * depth)
+    return replace(tags, exact=False, extent=extent)
 
 
 def linear_image(box: Box, matrix: NDArray[np.float64]) -> Box:

@@ -93,6 +93,11 @@ def _ordered(root: Expression) -> list[Expression]:
     return list(order)
 
 
+def coordinates_used(root: Expression) -> set[int]:
+    """The axes, 0 to 2, of the coordinates that an expression depends on by its formula."""
+    return {int(node.payload) for node in _ordered(flatten(root)) if node.kind == "coordinate"}  # type: ignore[arg-type]
+
+
 @dataclass(frozen=True, slots=True)
 class Instruction:
     """One step of a tape; its result goes to the slot with its own index.

@@ -29,12 +29,17 @@ _HOME = {
     "Composition": "maps",
     "ElasticOptions": "elastic_solve",
     "FileFormatError": "errors",
+    "FitOptions": "fitting",
+    "FitReport": "fitting",
     "Handle": "handles",
     "InputError": "errors",
     "Map": "maps",
     "MissingDependency": "errors",
     "NotInjective": "errors",
     "PushForwardReport": "push_forward",
+    "Shear": "shear",
+    "RedistanceReport": "distance_grid",
+    "Slice": "slices",
     "SolveReport": "elastic_solve",
     "Taper": "axial",
     "TutteNet": "tuttenet",
@@ -43,19 +48,26 @@ _HOME = {
     "back_end": "evaluate",
     "certify": "certificate",
     "check": "checking",
+    "contours": "slices",
     "deform": "deformation",
     "deform_mesh": "push_forward",
     "elastic": "elastic_solve",
     "elastic_energy": "energy",
     "extract": "extraction",
+    "fit": "fitting",
     "hold": "handles",
     "load": "files",
     "load_handles": "handles",
     "move": "handles",
+    "redistance": "distance_grid",
+    "redistance_report": "distance_grid",
     "rigid_motion": "affine",
     "save": "files",
+    "save_contours": "slices",
     "save_handles": "handles",
     "set_threads": "threads",
+    "slice_plot": "slice_picture",
+    "slice_values": "slices",
 }
 
 __all__ = [*sorted(_HOME), "__version__"]
@@ -67,15 +79,20 @@ if TYPE_CHECKING:
     from implicit_warp.certificate import Certificate, certify
     from implicit_warp.checking import BadMesh, CheckReport, check
     from implicit_warp.deformation import deform
+    from implicit_warp.distance_grid import RedistanceReport, redistance, redistance_report
     from implicit_warp.elastic_solve import ElasticOptions, SolveReport, elastic
     from implicit_warp.energy import elastic_energy
     from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
     from implicit_warp.evaluate import back_end
     from implicit_warp.extraction import extract
     from implicit_warp.files import load, save
+    from implicit_warp.fitting import FitOptions, FitReport, fit
     from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
     from implicit_warp.maps import Composition, Map
     from implicit_warp.push_forward import PushForwardReport, deform_mesh
+    from implicit_warp.shear import Shear
+    from implicit_warp.slice_picture import slice_plot
+    from implicit_warp.slices import Slice, contours, save_contours, slice_values
     from implicit_warp.threads import set_threads
     from implicit_warp.tuttenet import TutteNet
     from implicit_warp.warp import Warp

@@ -17,6 +17,7 @@ from implicit_warp.layers import invert_affine
 from implicit_warp.maps import Map
 
 if TYPE_CHECKING:
+    from fields import Field
     from implicit_warp.layer_geometry import Transitions
     from implicit_warp.local_bounds import LocalBounds
 
@@ -83,6 +84,9 @@ class Affine(Map):
             exactly=self._orientation.exactly,
             singular_values=((1.0 / backward, forward),),
         )
+
+    def _pull_back(self, field: Field) -> Field:
+        return field.affine(self.matrix[:, :3].tolist(), self.matrix[:, 3].tolist())
 
     def _local_bounds(self, boxes: np.ndarray) -> LocalBounds:
         return _affine_bounds(self._bounded[0], boxes)

@@ -19,13 +19,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fields.arguments import number, positive
+from fields.arguments import interval, number, pair, positive
+from fields.operations import axis_frame
 from implicit_warp.affine import axis_vector
 from implicit_warp.certificate import Certificate, as_region
 from implicit_warp.errors import InputError
 from implicit_warp.maps import Map
 
 if TYPE_CHECKING:
+    from fields import Field
     from implicit_warp.local_bounds import LocalBounds
 
 ROUNDING = 1e-13
@@ -49,8 +51,9 @@ class AxialMap(Map):
 
     def __init__(self, axis, origin, between, towards=None) -> None:
         origin = np.array([number(f"origin[{i}]", v) for i, v in enumerate(_three(origin))])
-        self.between = None if between is None else _checked_range(between)
-        self.frame = torch.from_numpy(axis_frame(axis_vector(axis), towards))
+        self.between = None if between is None else interval("between", between)
+        across = None if towards is None else axis_vector(towards)
+        self.frame = torch.from_numpy(axis_frame(axis_vector(axis), across))
         self.origin = torch.from_numpy(origin)
 
     @abstractmethod
@@ -103,6 +106,11 @@ class AxialMap(Map):
         corners = np.stack([boxes[:, choice[i], i] for i in range(3)], -1)
         return (corners - self.origin.numpy()) @ self.frame.numpy()
 
+    def _placed(self) -> dict[str, object]:
+        """The arguments that place the operation of the same name on fields."""
+        axis, origin = self.frame[:, 2].tolist(), self.origin.tolist()
+        return {"axis": axis, "origin": origin, "between": self.between}
+
     def _proved(self, box: np.ndarray | None) -> Certificate:
         return Certificate(repr(self), True, region=as_region(box))
 
@@ -149,10 +157,13 @@ class Twist(AxialMap):
     def _certify(self, box: np.ndarray | None) -> Certificate:
         return self._proved(box)
 
+    def _pull_back(self, field: Field) -> Field:
+        return field.twist(self.degrees, **self._placed())
+
     def _local(self, p: Tensor, inverse: bool) -> tuple[Tensor, Tensor]:
         rate = math.radians(self.degrees) * (-1.0 if inverse else 1.0)
         x, y, z = p.unbind(-1)
-        along, slope = _along(z, self.between)
+        along, slope = along_range(z, self.between)
         cos, sin = (rate * along).cos(), (rate * along).sin()
         u, v = cos * x - sin * y, sin * x + cos * y
         zero, one = torch.zeros_like(z), torch.ones_like(z)
@@ -188,14 +199,8 @@ class Taper(AxialMap):
     """
 
     def __init__(self, factors, axis="z", origin=(0.0, 0.0, 0.0), between=(0.0, 1.0)) -> None:
-        super().__init__(axis, origin, _checked_range(between))
-        try:
-            first, last = factors
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                "factors", factors, "not a pair", "pass the factors at both ends, such as (1, 0.5)"
-            ) from error
-        self.factors = positive("factors[0]", first), positive("factors[1]", last)
+        super().__init__(axis, origin, interval("between", between))
+        self.factors = pair("factors", factors, positive)
 
     def __repr__(self) -> str:
         return self._described(repr(self.factors))
@@ -215,6 +220,9 @@ class Taper(AxialMap):
     def _certify(self, box: np.ndarray | None) -> Certificate:
         return self._proved(box)
 
+    def _pull_back(self, field: Field) -> Field:
+        return field.taper(self.factors, **self._placed())
+
     def _factor(self, z):
         # As a mean of the two factors, so that rounding cannot take it beyond either.
         low, high = self.between
@@ -223,7 +231,7 @@ class Taper(AxialMap):
 
     def _local(self, p: Tensor, inverse: bool) -> tuple[Tensor, Tensor]:
         x, y, z = p.unbind(-1)
-        scale, slope = self._factor(z), self._rate * _along(z, self.between)[1]
+        scale, slope = self._factor(z), self._rate * along_range(z, self.between)[1]
         if inverse:
             scale, slope = 1.0 / scale, -slope / (scale * scale)
         zero, one = torch.zeros_like(z), torch.ones_like(z)
@@ -246,24 +254,7 @@ class Taper(AxialMap):
         return np.maximum(scale, half)
 
 
-def axis_frame(axis: np.ndarray, towards=None) -> np.ndarray:
-    """A rotation (3, 3) whose third column is the axis, and whose first turns to `towards`.
-
-    Raises:
-        InputError: `towards` is along the axis.
-    """
-    direction = np.eye(3)[np.abs(axis).argmin()] if towards is None else axis_vector(towards)
-    across = direction - (direction @ axis) * axis
-    length = np.linalg.norm(across)
-    if length < 1e-6:
-        raise InputError(
-            "towards", towards, "it is along the axis", "pass a direction across the axis"
-        )
-    first = across / length
-    return np.stack([first, np.cross(axis, first), axis], 1)
-
-
-def _along(z: Tensor, between) -> tuple[Tensor, Tensor]:
+def along_range(z: Tensor, between) -> tuple[Tensor, Tensor]:
     """How far z is along the range, and the derivative of that."""
     if between is None:
         return z, torch.ones_like(z)
@@ -292,18 +283,3 @@ def _three(origin):
     except (TypeError, ValueError) as error:
         raise InputError("origin", origin, "not three numbers", "pass (x, y, z)") from error
     return x, y, z
-
-
-def _checked_range(between) -> tuple[float, float]:
-    try:
-        low, high = between
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            "between", between, "not a pair of numbers", "pass (low, high) along the axis"
-        ) from error
-    low, high = number("between[0]", low), number("between[1]", high)
-    if not low < high or not math.isfinite(1.0 / (high - low)):
-        raise InputError(
-            "between", between, "an empty range", "pass (low, high) with low below high"
-        )
-    return low, high

@@ -34,6 +34,7 @@ from implicit_warp.certificate import Certificate, no_certificate
 from implicit_warp.errors import InputError
 
 if TYPE_CHECKING:
+    from fields import Field
     from implicit_warp.local_bounds import LocalBounds
 
 
@@ -111,6 +112,13 @@ class Bend(AxialMap):
 
     def _in_image(self, phi: Tensor, rho: Tensor) -> Tensor:
         return (phi > -self._wedge) & (phi < self._angle + self._wedge) & (rho > 0.0)
+
+    def _pull_back(self, field: Field) -> Field | None:
+        if field.bounds is None:
+            return None
+        # The frame has x towards the inside already, whatever the sign of the angle.
+        inside = self.frame[:, 0].tolist()
+        return field.bend(abs(self.degrees), towards=inside, **self._placed())
 
     def _local(self, p: Tensor, inverse: bool) -> tuple[Tensor, Tensor]:
         return self._unbend(p) if inverse else self._bend(p)

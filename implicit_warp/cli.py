@@ -23,14 +23,20 @@ from implicit_warp.commands.check import Check
 from implicit_warp.commands.common import BAD_INPUT, DEFECT, INTERRUPTED
 from implicit_warp.commands.deform import Deform
 from implicit_warp.commands.extract import Extract
+from implicit_warp.commands.fit import Fit
 from implicit_warp.commands.info import Info
+from implicit_warp.commands.learn_sdf import LearnSdf
+from implicit_warp.commands.slice import Slice
 from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
 
 COMMANDS = {
     "deform": Deform,
+    "fit": Fit,
     "extract": Extract,
+    "slice": Slice,
     "apply": Apply,
     "check": Check,
+    "learn-sdf": LearnSdf,
     "info": Info,
     "bench": Bench,
 }
@@ -41,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         prog="implicit-warp",
-        description="Injective 3D warps of implicit fields: deform, extract, check, measure.",
+        description="Injective 3D warps of implicit fields: deform, fit, extract, check, measure.",
         args=arguments,
     )
     try:

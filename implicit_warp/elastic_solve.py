@@ -26,8 +26,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from dataclasses import fields as options_of
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import torch
@@ -35,10 +34,12 @@ from torch import Tensor
 
 from fields import Field
 from implicit_warp import evaluate
+from implicit_warp.alignment import best_affine_map
 from implicit_warp.energy import elastic_energy, layer_energy
 from implicit_warp.errors import InputError
 from implicit_warp.handles import Handle
 from implicit_warp.layers import compose_affine, determinant_3x3, invert_affine
+from implicit_warp.options import Options
 from implicit_warp.progress import progress_bar
 from implicit_warp.sampling import Samples, sample_shape
 from implicit_warp.threads import threads_for_steps
@@ -58,7 +59,7 @@ near a layer's border can only slide along it."""
 
 
 @dataclass(frozen=True)
-class ElasticOptions:
+class ElasticOptions(Options):
     """Options of `elastic`; a handle file's ``[solve]`` table uses the same names.
 
     Attributes:
@@ -90,36 +91,17 @@ class ElasticOptions:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        for name in ("layers", "steps", "samples", "handle_samples"):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-                raise InputError(name, value, "not a positive whole number", "see ElasticOptions")
-        if type(self.seed) is not int or not 0 <= self.seed < 2**63:
-            raise InputError("seed", self.seed, "not a whole number in [0, 2^63)", "pass e.g. 0")
-        for option in options_of(self):
-            value = getattr(self, option.name)
-            if option.type == "float" and not (
-                isinstance(value, int | float) and 0 <= value < math.inf
-            ):
-                raise InputError(option.name, value, "not a number >= 0", "see ElasticOptions")
-        if self.learning_rate == 0:
-            raise InputError("learning_rate", 0.0, "nothing would move", "pass e.g. 0.05")
-        _refuse_device(self.device)
+        self._check_counts("layers", "steps", "samples", "handle_samples")
+        self._check_seed(self.seed)
+        self._check_numbers("elastic_weight", "handle_weight", "rotation_weight", "layer_weight")
+        self._check_numbers("tolerance")
+        self._check_numbers("learning_rate", positive=True)
+        self._check_device(self.device)
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, Any]) -> ElasticOptions:
         """From a ``[solve]`` table; unknown names are refused."""
         return cls().with_changes(values)
-
-    def with_changes(self, values: Mapping[str, Any]) -> ElasticOptions:
-        """A copy with some options replaced."""
-        known = [option.name for option in options_of(self)]
-        for name in values:
-            if name not in known:
-                raise InputError(
-                    name, values[name], "no such option of the solve", f"use {', '.join(known)}"
-                )
-        return replace(self, **values)
 
 
 @dataclass(frozen=True)
@@ -212,14 +194,6 @@ def elastic(
         return _Solver(shape, handles, options).run(update, callback)
 
 
-def _refuse_device(device: str) -> None:
-    try:
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError, TypeError) as error:
-        cause = str(error).splitlines()[0]
-        raise InputError("device", device, f"torch cannot use it ({cause})", 'use "cpu"') from error
-
-
 def _as_field(shape: Any) -> Field:
     if isinstance(shape, Field):
         return shape
@@ -260,7 +234,7 @@ class _Solver:
         self.unit = _UNIT_RADIUS / radius
         scale = torch.eye(3, dtype=torch.float64) * self.unit
         before = torch.cat([scale, -self.unit * centre[:, None]], -1)
-        common = _best_rigid_motion(source, target)
+        common = best_affine_map(source, target, "rigid")
         after = compose_affine(common, invert_affine(before))
         self.before, self.after = before.to(device), after.to(device)
         # Into the unit domain in float64, and only there to float32: far from the origin, or at
@@ -429,17 +403,3 @@ def _has_converged(history: list[tuple[int, float]], tolerance: float) -> bool:
         return False
     before, now = history[-1 - reviews][1], min(loss for _, loss in history[-reviews:])
     return now > (1.0 - tolerance) * before
-
-
-def _best_rigid_motion(source: Tensor, target: Tensor) -> Tensor:
-    """The rigid motion (3, 4) closest to taking source to target in the least-squares sense.
-
-    Kabsch's algorithm: the rotation nearest to the covariance, by a singular value decomposition.
-    """
-    from_centre, to_centre = source.mean(0), target.mean(0)
-    covariance = (target - to_centre).T @ (source - from_centre)
-    left, _, right = torch.linalg.svd(covariance)
-    signs = torch.ones(3, dtype=source.dtype)
-    signs[2] = torch.sign(torch.linalg.det(left @ right))
-    rotation = left @ torch.diag(signs) @ right
-    return torch.cat([rotation, (to_centre - rotation @ from_centre)[:, None]], -1)

@@ -1,12 +1,12 @@
 """Every exception of the package, in one place.
 
-`InputError` and `MissingDependency` are defined by `fields`, which knows nothing of this
-package; they are re-exported here so that users catch them under one roof.
+All but `NotInjective` are defined by `fields`, which knows nothing of this package; they are
+re-exported here so that users catch them under one roof.
 """
 
 from __future__ import annotations
 
-from fields.errors import InputError, MissingDependency
+from fields.errors import FileFormatError, InputError, MissingDependency
 
 __all__ = ["FileFormatError", "InputError", "MissingDependency", "NotInjective"]
 
@@ -28,7 +28,3 @@ class NotInjective(RuntimeError):  # noqa: N818 - it says what is the case, not 
             "parameters went far beyond what float64 resolves: solve again with more layer "
             "regularisation."
         )
-
-
-class FileFormatError(ValueError):
-    """A file is unreadable, truncated, or of a version this library does not know."""

@@ -1,4 +1,4 @@
-"""Maps on disk (`.safetensors`), and writing that never leaves half a file.
+"""Maps on disk (`.safetensors`).
 
 A map file holds float64 tensors, bit for bit, and string metadata: what it is, the format's
 version, the library's version, the units, the map's certificate.  Nothing in it is executed when it
@@ -7,17 +7,15 @@ is read; the certificate is proved anew and compared with the stored one.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
-import os
-import tempfile
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
+from fields.whole_files import atomic_write as atomic_write  # the packages' one door to files
+from fields.whole_files import refuse_target as refuse_target
 from implicit_warp.affine import Affine
 from implicit_warp.axial import AxialMap, Taper, Twist
 from implicit_warp.bend import Bend
@@ -25,81 +23,24 @@ from implicit_warp.certificate import certify, disagreement
 from implicit_warp.errors import FileFormatError, InputError, NotInjective
 from implicit_warp.frames import refuse_non_rotations
 from implicit_warp.maps import Composition, Inverse, Map
+from implicit_warp.shear import Shear
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
 
+if TYPE_CHECKING:
+    from implicit_warp.elastic_solve import SolveReport
+    from implicit_warp.fitting import FitReport
+
 FORMAT = "implicit_warp.map"
 FORMAT_VERSION = 1
-
-
-@contextlib.contextmanager
-def atomic_write(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside the target; rename it on success, remove it on failure.
-
-    The suffix is kept, so that writers which choose a format by suffix work.  A crash leaves the
-    old file as it was.
-
-    Raises:
-        InputError: the folder does not exist, or the target is a folder.
-    """
-    path = Path(os.path.realpath(path))  # a link stays a link
-    refuse_target(path)
-    try:
-        # mkstemp makes private files; the result keeps the old file's permissions, or gets those
-        # that any new file has.
-        handle, name = tempfile.mkstemp(path.suffix, f".{path.stem}.", path.parent)
-        os.close(handle)
-        mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
-    except OSError as error:
-        raise InputError(
-            "path", str(path), f"cannot be written ({error.strerror})", "choose another folder"
-        ) from error
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(mode)
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
-
-
-def refuse_target(path: str | Path, suffixes: Sequence[str] = ()) -> None:
-    """Raise `InputError` if a file cannot be written there, before the work that it would hold.
-
-    Args:
-        path: where a file is to be written.
-        suffixes: the suffixes it may have; any if empty.
-    """
-    path = Path(path)
-    if suffixes and path.suffix.lower() not in suffixes:
-        raise InputError(
-            "path", str(path), f"cannot write {path.suffix!r} here", f"use {', '.join(suffixes)}"
-        )
-    if not path.parent.is_dir():
-        raise InputError(
-            "path", str(path), "its folder does not exist", f"create {path.parent} first"
-        )
-    if path.is_dir():
-        raise InputError("path", str(path), "this is a folder", "name a file")
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(
-            "path", str(path), "its folder is not writable", "change its permissions or the path"
-        )
 
 
 def save(map_: Map, path: str | Path, *, units: str = "") -> None:
     """Write a map to a `.safetensors` file, with its certificate and a fingerprint of its numbers.
 
     Args:
-        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, `Twist`, `Taper`
-            or `Bend`, or a composition or inverse of these.
+        map_: a `TutteNet` (its parameters), a `Warp` (its tables), an `Affine`, `Twist`, `Taper`,
+            `Shear` or `Bend`, or a composition or inverse of these.
         path: where to; written under a temporary name and renamed.
         units: a note on the units of the map's domain, such as "mm".
 
@@ -213,7 +154,8 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
             embeddings=map_.embeddings, frames=map_.frames, before=map_.before, after=map_.after
         )
         report = None if map_.report is None else map_.report.to_dict()
-        return {"kind": "warp", "tensors": names, "report": report}
+        kind = type(map_.report).__name__
+        return {"kind": "warp", "tensors": names, "report": report, "report_kind": kind}
     if isinstance(map_, TutteNet):
         names = store(
             frames_at_start=map_.frames_at_start,
@@ -237,7 +179,7 @@ def _describe(map_: Map, tensors: dict[str, torch.Tensor]) -> dict[str, Any]:
         "map_",
         type(map_).__name__,
         "maps of this kind have no file format",
-        "save a TutteNet, Warp, Affine, Twist, Taper, Bend, or a composition of them",
+        "save a TutteNet, Warp, Affine, Twist, Taper, Shear, Bend, or a composition of them",
     )
 
 
@@ -251,10 +193,7 @@ def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map
     if kind == "affine":
         return Affine(parts["matrix"][:, :3].numpy(), parts["matrix"][:, 3].numpy())
     if kind == "warp":
-        from implicit_warp.elastic_solve import SolveReport
-
-        report = structure.get("report")
-        return Warp(**parts, report=None if report is None else SolveReport.from_dict(report))
+        return Warp(**parts, report=_report(structure))
     if kind == "tuttenet":
         start = parts.pop("frames_at_start")
         net = TutteNet(
@@ -277,10 +216,22 @@ def _rebuild(structure: dict[str, Any], tensors: dict[str, torch.Tensor]) -> Map
     raise FileFormatError(f"unknown kind of map {kind!r}")
 
 
+def _report(structure: dict[str, Any]) -> SolveReport | FitReport | None:
+    if structure.get("report") is None:
+        return None
+    from implicit_warp.elastic_solve import SolveReport
+    from implicit_warp.fitting import FitReport
+
+    # Files written before there were fits do not say whose report it is.
+    fitted = structure.get("report_kind") == FitReport.__name__
+    return (FitReport if fitted else SolveReport).from_dict(structure["report"])
+
+
 _AXIAL: dict[type[AxialMap], tuple[str, ...]] = {
     Twist: ("degrees", "between"),
     Taper: ("factors", "between"),
     Bend: ("degrees", "between"),
+    Shear: ("slope", "between"),
 }
 """The arguments of the axial maps beside their frame and origin."""
 

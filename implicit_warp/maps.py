@@ -25,6 +25,7 @@ from implicit_warp.certificate import Certificate, certify_in_turn, no_certifica
 from implicit_warp.errors import InputError
 
 if TYPE_CHECKING:
+    from fields import Field
     from implicit_warp.local_bounds import LocalBounds
 
 
@@ -104,6 +105,13 @@ class Map(ABC):
     def inv(self) -> Map:
         """The inverse, itself a map; ``m.inv.inv is m``."""
         return Inverse(self)
+
+    def _pull_back(self, field: Field) -> Field | None:
+        """The field s o f^-1 as one expression, with bounds of its own; None if that is unknown.
+
+        It may differ from s o f^-1 away from the surface, where it has the same sign.
+        """
+        return None
 
     def _certify(self, box: np.ndarray | None) -> Certificate:
         """What is proved of this map on a box (2, 3), or on all of space; see `certify`."""
@@ -199,6 +207,14 @@ class Composition(Map):
 
     def __repr__(self) -> str:
         return " @ ".join(repr(m) for m in reversed(self.maps))
+
+    def _pull_back(self, field: Field) -> Field | None:
+        for m in self.maps:
+            pulled = m._pull_back(field)
+            if pulled is None:
+                return None
+            field = pulled
+        return field
 
     def _certify(self, box: np.ndarray | None) -> Certificate:
         return certify_in_turn(self, self.maps, box)

@@ -23,9 +23,9 @@ from implicit_warp.certificate import certify
 from implicit_warp.deformation import deform
 from implicit_warp.elastic_solve import ElasticOptions, elastic
 from implicit_warp.errors import InputError
+from implicit_warp.extraction.lattice import lattice_for
 from implicit_warp.files import atomic_write, refuse_target, save
 from implicit_warp.handles import Handle
-from implicit_warp.lattice import lattice_for
 from implicit_warp.layers import determinant_3x3
 from implicit_warp.mesh_files import WRITABLE, write_mesh
 from implicit_warp.warp import Warp

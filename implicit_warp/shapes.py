@@ -1,4 +1,4 @@
-"""What the command line takes as a shape: a field script or a mesh file."""
+"""What the command line takes as a shape: a field script, a learned field, a volume or a mesh."""
 
 from __future__ import annotations
 
@@ -7,22 +7,33 @@ import sys
 import traceback
 from pathlib import Path
 
-from fields import Field, mesh
+from fields import Field, load_grid, load_neural, mesh
+from fields.grid_files import VOLUMES
 from implicit_warp.errors import InputError
 from implicit_warp.mesh_files import read_mesh
+
+FIELDS = (".py", ".safetensors")
+"""Suffixes of files that hold a field; others are meshes."""
 
 
 def load_shape(path: str | Path) -> Field:
     """The field that a file describes.
 
     A field script is a Python file that defines ``shape``; it is *run*, so use only scripts that
-    you trust.  Any mesh file becomes a distance field, if it is closed.
+    you trust.  A volume (``.npz``, ``.nrrd``, ``.vti``) holds samples of a field, negative inside.
+    A ``.safetensors`` file is a learned field.  Any mesh file becomes a distance field, if it is
+    closed.
 
     Raises:
         InputError: no such file; a script that fails, or defines no field named ``shape``.
-        FileFormatError: a mesh file that is damaged.
+        FileFormatError: a mesh file that is damaged; a ``.safetensors`` file that is, or that holds
+            something else, such as a map.
     """
     path = Path(path)
+    if path.suffix.lower() in VOLUMES:
+        return load_grid(path)
+    if path.suffix.lower() == ".safetensors":
+        return load_neural(path)
     if path.suffix.lower() != ".py":
         return mesh(read_mesh(path))
     if not path.is_file():

@@ -19,6 +19,7 @@ from implicit_warp.square_mesh import SquareMesh, square_mesh
 if TYPE_CHECKING:
     from implicit_warp.certificate import Certificate
     from implicit_warp.elastic_solve import SolveReport
+    from implicit_warp.fitting import FitReport
     from implicit_warp.local_bounds import LocalBounds
     from implicit_warp.orientation import Decided
 
@@ -34,7 +35,7 @@ class Warp(Map):
             else is brought to their device.
         frames: (K, 3, 3) rotations, columns: plane axes and normal.
         before, after: (3, 4) affine maps with positive determinant; the identity by default.
-        report: how a solve arrived at this map, if one did.
+        report: how a solve or a fit arrived at this map, if one did.
 
     Raises:
         InputError: shapes that do not fit, or values that are not finite.
@@ -52,7 +53,7 @@ class Warp(Map):
         frames: Tensor,
         before: Tensor | None = None,
         after: Tensor | None = None,
-        report: SolveReport | None = None,
+        report: SolveReport | FitReport | None = None,
     ) -> None:
         self.embeddings = _frozen("embeddings", embeddings, (None, None, 2))
         device = self.embeddings.device

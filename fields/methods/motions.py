@@ -1,4 +1,4 @@
-"""Rigid motions and scalings of fields, and changes of their thickness."""
+"""Rigid motions, scalings and other affine maps of fields."""
 
 from __future__ import annotations
 
@@ -51,18 +51,16 @@ class Motions(FieldBase):
         """
         return derived(operations.scale, (self,), factor=factor)
 
-    def offset(self, distance: float) -> Self:
-        """Grown by a distance, or shrunk by a negative one: a - distance.
+    def affine(self, linear: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
+        """Carried along by the map p -> M p + translation; values stay, distances do not.
 
-        Of a distance it is the true offset surface; the field remains a distance only
-        outside it (grown) or inside (shrunk), so it is not tagged exact.
+        Use `rotate`, `scale` and `translate` where they say the same: they keep what is exact.
+
+        Args:
+            linear: M, a 3x3 matrix that may shear, stretch, turn and reflect.
+            translation: `(3,)`.
+
+        Raises:
+            InputError: the matrix is singular.
         """
-        return derived(operations.offset, (self,), distance=distance)
-
-    def shell(self, thickness: float) -> Self:
-        """The surface made solid, half of the thickness on each side: |a| - thickness/2.
-
-        The surface itself vanishes. Not exact. Of a field that is not a distance the
-        thickness varies.
-        """
-        return derived(operations.shell, (self,), thickness=thickness)
+        return derived(operations.affine, (self,), linear=linear, translation=translation)

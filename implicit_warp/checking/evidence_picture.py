@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from fields.mesh import import_open3d
 from implicit_warp.checking.evidence import CLASSES, SOUND, Evidence
 from implicit_warp.checking.predicates import unit_scaled
 from implicit_warp.errors import InputError
 from implicit_warp.files import refuse_target
 from implicit_warp.render import Camera, render, save_png
 from implicit_warp.render.camera import DEFAULT_DIRECTION
+from implicit_warp.render.open3d_library import import_open3d
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -12,6 +12,7 @@ from implicit_warp.commands.common import (
     GOOD,
     Common,
     Out,
+    read_points,
     say,
     write_and_check,
 )
@@ -28,7 +29,8 @@ class Apply(Common):
     A mesh keeps its faces and moves its vertices: a coarse one can come out with
     self-intersections, and the check says so. --method exact cuts its faces along the creases of
     the map, so that the result is the exact image; --method adaptive divides them until they follow
-    it within a tolerance, also for --inverse. A field script is pulled back and extracted. Points
+    it within a tolerance, also for --inverse. A field, from a script or learned, is pulled back and
+    extracted. Points
     are a .npy file of shape (n, 3).
 
     Example: implicit-warp apply warp.safetensors scan.ply -o posed.ply --method exact
@@ -37,7 +39,7 @@ class Apply(Common):
     warp: Positional[Path]
     """Map file (.safetensors)."""
     thing: Positional[Path]
-    """Mesh file, field script (.py) or points (.npy)."""
+    """Mesh file, field script (.py), learned field (.safetensors) or points (.npy)."""
     out: Out
     """A mesh file, or .npy for points."""
     inverse: bool = False
@@ -47,7 +49,7 @@ class Apply(Common):
     tolerance: float | None = None
     """For --method adaptive: distance from the image; by default 1/1000 of its diagonal."""
     resolution: int = 192
-    """For field scripts: voxels along the longest side of the result's box."""
+    """For fields: voxels along the longest side of the result's box."""
 
     def run(self) -> int:
         """Carry out the command; returns the exit code."""
@@ -55,11 +57,13 @@ class Apply(Common):
         from implicit_warp.extraction import extract
         from implicit_warp.files import atomic_write, load, refuse_target
         from implicit_warp.mesh_files import WRITABLE, read_mesh
-        from implicit_warp.shapes import load_shape
+        from implicit_warp.shapes import FIELDS, load_shape
 
         suffix = self.thing.suffix.lower()
         refuse_target(self.out, (".npy",) if suffix == ".npy" else WRITABLE)
-        if suffix in (".npy", ".py") and (self.method != "vertices" or self.tolerance is not None):
+        if suffix in (".npy", *FIELDS) and (
+            self.method != "vertices" or self.tolerance is not None
+        ):
             raise InputError(
                 "method",
                 self.method,
@@ -71,12 +75,12 @@ class Apply(Common):
         if suffix == ".npy":
             import numpy as np
 
-            moved = map_(_read_points(self.thing))
+            moved = map_(read_points(self.thing))
             with atomic_write(self.out) as temporary, temporary.open("wb") as file:
                 np.save(file, moved)
             say(f"{self.out}: {len(moved)} points")
             return GOOD
-        if suffix == ".py":
+        if suffix in FIELDS:
             mesh = extract(deform(load_shape(self.thing), map_), self.resolution)
         else:
             mesh = self._push_forward(read_mesh(self.thing), map_)
@@ -98,14 +102,3 @@ class Apply(Common):
             )
         say(str(report))
         return image
-
-
-def _read_points(path: Path):
-    import numpy as np
-
-    try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(
-            "thing", str(path), f"not a readable .npy file ({error})", "save it with numpy.save"
-        ) from error

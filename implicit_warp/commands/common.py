@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
+from implicit_warp.errors import InputError
+
 if TYPE_CHECKING:
     from implicit_warp.checking import CheckReport
 
@@ -57,3 +59,15 @@ def printable(text: str) -> str:
 def say(text: str) -> None:
     """A line on standard output."""
     sys.stdout.write(text + "\n")
+
+
+def read_points(path: Path):
+    """The array of a .npy file."""
+    import numpy as np
+
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(
+            "points", str(path), f"not a readable .npy file ({error})", "save it with numpy.save"
+        ) from error

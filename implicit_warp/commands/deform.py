@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
@@ -16,17 +15,16 @@ from implicit_warp.commands.common import (
     say,
     verdict,
 )
-
-if TYPE_CHECKING:
-    pass
+from implicit_warp.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deform(Common):
     """Bend a shape by handles: solve for an injective warp, extract the mesh, check the file.
 
-    SHAPE is a Python script that defines `shape` (it is run: use only scripts you trust), or a
-    closed mesh. The handle file says which regions stay and which move:
+    SHAPE is a Python script that defines `shape` (it is run: use only scripts you trust), a field
+    that learn-sdf learned, or a closed mesh. The handle file says which regions stay and which
+    move:
 
         [[handle]]
         region = "below(-0.6)"
@@ -40,7 +38,7 @@ class Deform(Common):
     """
 
     shape: Positional[Path]
-    """Field script (.py) or mesh file."""
+    """Field script (.py), learned field (.safetensors) or mesh file."""
     handles: Path
     """Handle file (.toml); its [solve] table may set options of the solve."""
     out: Out
@@ -70,6 +68,13 @@ class Deform(Common):
         from implicit_warp.shapes import load_shape
 
         warp_path = self.warp or self.out.with_suffix(".safetensors")
+        if warp_path.resolve() == self.shape.resolve():
+            raise InputError(
+                "warp",
+                str(warp_path),
+                "the map would replace the learned field that is read",
+                "name the map's file with --warp",
+            )
         shape = load_shape(self.shape)
         handles, solve = load_handles(self.handles)
         given = {"steps": self.steps, "layers": self.layers, "seed": self.seed}

@@ -26,7 +26,7 @@ class Extract(Common):
     """
 
     shape: Positional[Path]
-    """Field script (.py) or mesh file."""
+    """Field script (.py), learned field (.safetensors) or mesh file."""
     out: Out
     """The mesh: .stl, .obj, .ply, .off, .glb or .3mf."""
     resolution: int = 192

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fields.mesh import import_open3d
+from implicit_warp.render.open3d_library import import_open3d
 from implicit_warp.render.surface import Array, Paint, corner_normals
 
 

@@ -44,6 +44,14 @@ def test_demo(tmp_path):
     assert_good(tmp_path, "part", [3])
 
 
+def test_learned(tmp_path):
+    run = runpy.run_path(str(EXAMPLES / "learned/run.py"))["run"]
+    assert run(tmp_path, resolution=40, steps=150) == 0
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["accuracy"]["near_error"] < 0.002
+    assert (tmp_path / "learned.png").stat().st_size > 10_000
+
+
 def test_every_handle_file_has_its_shape():
     for path in EXAMPLES.rglob("*.toml"):
         handles, _ = iw.load_handles(path)

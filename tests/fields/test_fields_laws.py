@@ -74,7 +74,7 @@ def test_bounds_hold_the_inside(example, cloud, rng):
 
 def test_examples_with_an_inside_show_it(catalogue, cloud):
     """So that the law above is not empty."""
-    nothing = {name for name, field in catalogue.items() if not (field(cloud) <= 0).any()}
+    nothing = {name for name, field in catalogue.items() if not (field(cloud) < 0).any()}
     assert nothing == {"intersection, empty", "offset inwards, to nothing"}
 
 
@@ -105,11 +105,14 @@ def test_autograd_equals_central_differences(example, cloud):
         behind = (value - example(points - step)) / h
         # The differences of both sides agree to h * f'', so where they do to 1e-4 the
         # field is smooth with f'' < 10, and the central difference is good to h**2 f'''
-        # + rounding / h, some 1e-9.
-        smooth = np.abs(ahead - behind) < 1e-4
+        # + rounding / h, some 1e-9. Where f'' jumps, in the few points that are within h of
+        # the border of a region, the gradient is only between the two.
+        gap = np.abs(ahead - behind)
+        smooth = gap < 1e-4
         assert smooth.mean() > 0.95
-        central = (ahead + behind) / 2
-        np.testing.assert_allclose(gradient[smooth, axis], central[smooth], atol=1e-7)
+        error = np.abs(gradient[:, axis] - (ahead + behind) / 2)[smooth]
+        assert (error <= gap[smooth] + 1e-7).all()
+        assert (error < 1e-7).mean() > 0.995
 
 
 def test_gradients_are_finite_where_there_is_none(example):

@@ -9,11 +9,13 @@ from scipy.spatial import cKDTree
 import fields as sdf
 from fields import InputError
 
-SAMPLES = 200_000
+SAMPLES = 100_000
 
 
 def test_the_field_is_zero_on_the_surface(surface, rng):
-    np.testing.assert_allclose(surface.field(surface.sample(rng, SAMPLES)), 0, atol=1e-14)
+    # Samples are rounded, some in several steps; none of them has coordinates above 10.
+    atol = 1e-14 * surface.field.lipschitz
+    np.testing.assert_allclose(surface.field(surface.sample(rng, SAMPLES)), 0, atol=atol)
 
 
 def test_the_sign_is_that_of_the_solid(surface, rng):
@@ -27,9 +29,16 @@ def test_the_sign_is_that_of_the_solid(surface, rng):
 
 
 def test_the_value_is_the_distance_to_the_nearest_surface_sample(surface, rng):
+    """Or no more than its Lipschitz bound times that, if it is no distance."""
     samples = surface.sample(rng, SAMPLES)
     points = rng.uniform(-1.5, 1.5, (3_000, 3))
     brute, _ = cKDTree(samples).query(points)
+    distance = np.abs(surface.field(points))
+    assert (distance <= surface.field.lipschitz * brute + 1e-12).all()
+    if not surface.field.exact:
+        # Away from the surface it is not needlessly little.
+        assert np.median((distance / brute)[brute > 0.1]) > 0.1
+        return
     # How far samples are from arbitrary points of the surface, measured with others where
     # the nearest points of the test points are: these are within 1.5 sqrt(3) of the origin.
     # No surface point is farther from the samples than about twice what the others are.
@@ -37,8 +46,6 @@ def test_the_value_is_the_distance_to_the_nearest_surface_sample(surface, rng):
     others = others[np.linalg.norm(others, axis=1) < 3]
     gap = 2 * cKDTree(samples).query(others)[0].max()
     assert gap < 0.25
-    distance = np.abs(surface.field(points))
-    assert (distance <= brute + 1e-12).all()
     assert (distance >= brute - gap).all()
     # Away from the surface the nearest of dense samples is wrong by gap**2 / (2 d) only.
     assert np.median(brute - distance) < 0.01
@@ -58,14 +65,23 @@ def test_gradients_on_the_surface_are_the_outward_normals(surface, rng):
     """On it, not near it: normals are taken from extracted vertices."""
     samples = surface.sample(rng, 5_000)
     normal = surface.field.gradient(samples)
+    norm = np.linalg.norm(normal, axis=1)
     # At an edge the gradient is a mean of normals; few random samples are that close.
-    smooth = np.abs(np.linalg.norm(normal, axis=1) - 1) < 1e-6
+    smooth = np.abs(norm - 1) < 1e-6 if surface.field.exact else norm > 0.1
     assert smooth.mean() > 0.99
-    step = 1e-4 * normal[smooth]
-    np.testing.assert_allclose(surface.field(samples[smooth] + step), 1e-4, atol=1e-9)
+    step = 1e-4 * (normal / norm.clip(1e-9)[:, None])[smooth]
+    outwards = surface.field(samples[smooth] + step)
     # Inwards the step may cross to another face near an edge.
     inwards = surface.field(samples[smooth] - step)
-    assert np.mean(np.abs(inwards + 1e-4) < 1e-9) > 0.98
+    if surface.field.exact:
+        # Outwards it may come nearer to another face at a concave edge, and at an edge itself
+        # the gradient may be that of one face or the other.
+        assert np.mean(np.abs(outwards - 1e-4) < 1e-9) > 0.998
+        assert np.mean(np.abs(inwards + 1e-4) < 1e-9) > 0.98
+    else:
+        # Second derivatives in the catalogue are below 100: 1e-4 (norm - 100 * 1e-4 / 2).
+        assert (outwards > 0.9e-4 * (norm[smooth] - 0.01)).mean() > 0.99
+        assert (inwards < 0).mean() > 0.98
 
 
 @pytest.mark.parametrize(

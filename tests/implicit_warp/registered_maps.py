@@ -15,6 +15,7 @@ from implicit_warp.affine import Affine, rigid_motion
 from implicit_warp.axial import AxialMap, Taper, Twist
 from implicit_warp.bend import Bend
 from implicit_warp.maps import Composition, Inverse, Map
+from implicit_warp.shear import Shear
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
 
@@ -90,8 +91,10 @@ BUILDERS: dict[str, Callable[[int], Map]] = {
     "twist": lambda seed: Twist(20.0, **random_axis(seed)),
     "twist on a range": lambda seed: Twist(-90.0, "y", between=(-0.5, 0.7)),
     "taper": lambda seed: Taper((1.2, 0.4), **random_axis(seed), between=(-1.0, 1.5)),
+    "shear": lambda seed: Shear(0.7, **random_axis(seed)),
+    "shear on a range": lambda seed: Shear(-0.4, "y", "z", between=(-0.5, 0.7)),
     "bend": random_bend,
     "axial composition": lambda seed: Twist(30.0) @ Taper((0.5, 0.8)) @ random_affine(seed),
 }
 
-COVERED = (Affine, TutteNet, Warp, Inverse, Composition, AxialMap, Twist, Taper, Bend)
+COVERED = (Affine, TutteNet, Warp, Inverse, Composition, AxialMap, Twist, Taper, Shear, Bend)

@@ -56,6 +56,7 @@ def all_subclasses(kind: type) -> set[type]:
 def test_every_kind_of_map_is_registered():
     import implicit_warp.affine
     import implicit_warp.bend
+    import implicit_warp.shear
     import implicit_warp.tuttenet
     import implicit_warp.warp  # noqa: F401
 

@@ -1,0 +1,1 @@
+"""Compiled loops of this package. Modules here import numba, and are imported on use."""

@@ -1,0 +1,6 @@
+"""From a field to a checked-by-construction triangle mesh; see `extraction.meshing`."""
+
+from implicit_warp.extraction.meshing import ExtractionReport, extract, extract_mesh
+from implicit_warp.extraction.placement import NEAREST
+
+__all__ = ["NEAREST", "ExtractionReport", "extract", "extract_mesh"]

@@ -1,0 +1,181 @@
+"""Find the crossed cells of a warped field from the surface of the field at rest.
+
+The surface of s o f^-1 is the image under f of the surface of s.  That one is found where it is
+cheap and where bounds are sharp, at rest, and carried forward: every cell that a carried point
+falls into is a seed.  From the seeds the surface is followed: where a cell's face has corners of
+both signs, the cell beyond it is crossed too.  So only cells at the surface are sampled.
+
+Guarantees: the surface is closed whatever the seeds are, since following ends only where nothing
+is left to follow; and each part of it that holds a seed is found whole.
+Non-guarantee: a part of the lattice's surface without any seed is missed.  Seeds lie closer than
+the cells' sides, so such a part would be one that passes between them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numba import prange
+from numpy.typing import NDArray
+
+from fields import Field
+from fields.jit import kernel, parallel_kernel
+from implicit_warp.extraction.cells import Cells
+from implicit_warp.extraction.cube import CORNERS, FACE_AXIS, FACE_SIDE
+from implicit_warp.extraction.samples import NUMPY, CornerSamples, Sampler, hashed
+from implicit_warp.maps import Map
+
+_MOST_STRETCH = 4.0
+"""How much finer than the lattice the surface at rest is found, at most."""
+
+
+class Carried(NamedTuple):
+    """A field that is the image of another under a map."""
+
+    rest: Field
+    map: Map
+
+
+def carried(field: Field) -> Carried | None:
+    """What a field was made of by `implicit_warp.deform`; None for all others."""
+    from implicit_warp.deformation import PullBack
+
+    node = field.expression
+    if node.kind != "remap":
+        return None
+    calls = {axis.arguments[0] for axis in node.arguments[1:] if axis.kind == "component"}
+    oracle = next(iter(calls)).payload if len(calls) == 1 else None
+    if not isinstance(oracle, PullBack):
+        return None
+    (rest,) = field.history.operands
+    return Carried(rest, oracle.map)
+
+
+def resolution_at_rest(carried: Carried, voxel: float, surface: NDArray[np.float64]) -> int:
+    """Voxels along the longest side of the field at rest, so that carried ones are no larger.
+
+    Args:
+        carried: the field.
+        voxel: of the lattice for the carried field.
+        surface: (n, 3) points of the surface at rest, where the map's stretch is looked at.
+    """
+    jacobians = carried.map.jacobian(torch.from_numpy(surface))
+    stretch = float(torch.linalg.matrix_norm(jacobians, ord=2).max())
+    side = float(np.ptp(carried.rest.bounds, axis=0).max())
+    return max(8, math.ceil(side / voxel * min(max(stretch, 1.0), _MOST_STRETCH)) + 4)
+
+
+def seeds(carried: Carried, surface: NDArray[np.float64], sampler: Sampler) -> NDArray[np.float64]:
+    """(n, 3) the images of points of the surface at rest, and the corners of the lattice.
+
+    The corners are for a lattice whose walls lie inside the shape everywhere.
+    """
+    images = carried.map(torch.from_numpy(surface).to(sampler.dtype)).double().numpy()
+    lattice = sampler.lattice
+    corners = lattice.origin + CORNERS * (lattice.far_corner - lattice.origin)
+    return np.concatenate([images, corners])
+
+
+def follow(sampler: Sampler, seeds: NDArray[np.float64], batch: int) -> Cells:
+    """The crossed cells that can be reached from the cells of some points.
+
+    Args:
+        sampler: of the field.
+        seeds: (n, 3) points; those beyond the lattice are moved into its outermost cells.
+        batch: cells handled at a time.
+    """
+    lattice, samples = sampler.lattice, CornerSamples(sampler)
+    first, last = sampler.first_cell, sampler.last_cell
+    cells = np.floor((seeds - lattice.origin) / lattice.voxel).astype(np.int64)
+    extent = np.array(lattice.shape) + 4
+    visited = _Visited(extent)
+    frontier = visited.new(np.clip(cells, first, last))
+    found: list[Cells] = []
+    while len(frontier):
+        onwards = []
+        for block in np.array_split(frontier, max(1, -(-len(frontier) // batch))):
+            values = samples.of(block)
+            inside = values < 0
+            crossed = inside.any(axis=1) & ~inside.all(axis=1)
+            cells = Cells(block[crossed], values[crossed])
+            found.append(cells)
+            onwards.append(_beyond_crossed_faces(*cells, first, last))
+        frontier = visited.new(np.concatenate(onwards))
+    return Cells.joined(found, NUMPY[sampler.dtype])
+
+
+class _Visited:
+    """The set of cells that have been met."""
+
+    def __init__(self, extent: NDArray[np.int64]) -> None:
+        self._extent = extent
+        self._slots = np.full(1 << 12, -1, np.int64)
+        self._size = 0
+
+    def new(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of the cells (n, 3) that were not met before, each once; they now count as met."""
+        keys = np.ascontiguousarray(
+            ((cells[:, 0] + 2) * self._extent[1] + cells[:, 1] + 2) * self._extent[2]
+            + cells[:, 2]
+            + 2
+        )
+        while 2 * (self._size + len(keys)) > len(self._slots):
+            self._slots = _rehashed(self._slots)
+        fresh = _enter(keys, self._slots)
+        self._size += int(fresh.sum())
+        return cells[fresh]
+
+
+@kernel
+def _enter(keys, slots):
+    mask = len(slots) - 1
+    fresh = np.zeros(len(keys), np.bool_)
+    for i in range(len(keys)):
+        at = hashed(keys[i]) & mask
+        while slots[at] >= 0 and slots[at] != keys[i]:
+            at = (at + 1) & mask
+        if slots[at] < 0:
+            slots[at] = keys[i]
+            fresh[i] = True
+    return fresh
+
+
+@kernel
+def _rehashed(slots):
+    result = np.full(2 * len(slots), -1, np.int64)
+    _enter(slots[slots >= 0], result)
+    return result
+
+
+def _beyond_crossed_faces(
+    corners: NDArray[np.int64],
+    values: NDArray[np.floating],
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """The neighbours of cells across those of their faces whose corners differ in sign."""
+    neighbours = np.empty((len(corners), 6, 3), np.int64)
+    across = np.empty((len(corners), 6), np.bool_)
+    _neighbours(corners, values, first, last, neighbours, across)
+    return neighbours[across]
+
+
+@parallel_kernel
+def _neighbours(corners, values, first, last, neighbours, across):
+    zero = values.dtype.type(0.0)
+    for i in prange(len(corners)):
+        for f in range(6):
+            axis, side = FACE_AXIS[f], FACE_SIDE[f]
+            inside = 0
+            for c in range(8):
+                if CORNERS[c, axis] == side:
+                    inside += np.int64(values[i, c] < zero)
+            for a in range(3):
+                neighbours[i, f, a] = corners[i, a]
+            neighbours[i, f, axis] += 2 * side - 1
+            there = neighbours[i, f, axis]
+            within = there >= first[axis] and there <= last[axis]
+            across[i, f] = within and inside > 0 and inside < 4
