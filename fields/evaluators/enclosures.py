@@ -40,22 +40,15 @@ def _tightened(
     tape: Tape, lipschitz: float, boxes: Boxes, dtype: np.dtype, found: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     centres = 0.5 * boxes.sum(axis=1)
-    reach = lipschitz * np.linalg.norm(
-        np.maximum(boxes[:, 1] - centres, centres - boxes[:, 0]), axis=1
-    )
-    reach *= 1 + 1e-12
-    middle = tape.compiled.bounds(np.stack([centres, centres], axis=1), dtype)
-    farthest = np.abs(boxes).max(axis=(1, 2))
-    slack = ASSUMED * np.finfo(dtype).eps
-    if tape.calls_oracles:  # they may have told nothing about themselves
-        at = tape.compiled.values(torch.from_numpy(centres)).numpy()
-        allowed = slack * np.maximum(np.abs(at), farthest)
-        middle[:, 0] = np.maximum(middle[:, 0], at - allowed)
-        middle[:, 1] = np.minimum(middle[:, 1], at + allowed)
-    largest = np.maximum(np.abs(middle[:, :2]).max(axis=1) + reach, farthest)
-    error = np.minimum(found[:, 2], slack * largest)
-    low = np.maximum(found[:, 0], middle[:, 0] - reach - error)
-    high = np.minimum(found[:, 1], middle[:, 1] + reach + error)
+    halves = np.maximum(boxes[:, 1] - centres, centres - boxes[:, 0])
+    reach = lipschitz * np.linalg.norm(halves, axis=1) * (1 + 1e-12)
+    at = tape.compiled.values(torch.from_numpy(centres)).numpy()
+    largest = np.maximum(np.abs(at) + reach, np.abs(boxes).max(axis=(1, 2)))
+    error = np.minimum(found[:, 2], ASSUMED * np.finfo(dtype).eps * largest)
+    with np.errstate(invalid="ignore"):  # infinity - infinity, which fmax and fmin pass over
+        margin = reach + error + ASSUMED * np.finfo(np.float64).eps * largest
+        low = np.fmax(found[:, 0], at - margin)
+        high = np.fmin(found[:, 1], at + margin)
     return np.stack([low, high, error], axis=1)
 
 
