@@ -132,11 +132,12 @@ class CompiledTape:
         array = points.numpy()
 
         def compute(index: int, inputs: list[Array]) -> list[Array]:
-            given = np.stack([np.empty((len(array), 4), array.dtype), *inputs], axis=-1)[..., 1:]
+            given = np.empty((len(array), 4, len(inputs)), array.dtype)
+            for column, item in enumerate(inputs):
+                given[..., column] = item
             stage = self.machines[index]
             found = np.empty((len(array), 4, len(stage.places)), array.dtype)
             numbers = stage.numbers.astype(array.dtype)
-            given = np.ascontiguousarray(given)
 
             def part(start: int, stop: int) -> None:
                 slopes_at(
