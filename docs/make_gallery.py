@@ -28,7 +28,7 @@ SIZE = (200, 180)
 COLORS = 128
 """A sheet is stored with a palette; more colours cannot be told apart and cost twice as much."""
 
-RESOLUTION = 96
+RESOLUTION = 80
 
 
 def sheets() -> dict[str, dict]:
@@ -47,7 +47,7 @@ def thumbnail(name: str, text: str) -> np.ndarray:
     from implicit_warp.extraction import extract
     from implicit_warp.render import Panel, render_row
 
-    mesh = extract(fields.parse(text), RESOLUTION)
+    mesh = extract(fields.parse(text), RESOLUTION, sharp=True)
     return render_row(
         [Panel(mesh, label=name)],
         size=SIZE,
