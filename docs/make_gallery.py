@@ -28,7 +28,7 @@ SIZE = (200, 180)
 COLORS = 128
 """A sheet is stored with a palette; more colours cannot be told apart and cost twice as much."""
 
-RESOLUTION = 96
+RESOLUTION = 80
 
 
 def sheets() -> dict[str, dict]:
@@ -47,7 +47,7 @@ def thumbnail(name: str, text: str) -> np.ndarray:
     from implicit_warp.extraction import extract
     from implicit_warp.render import Panel, render_row
 
-    mesh = extract(fields.parse(text), RESOLUTION)
+    mesh = extract(fields.parse(text), RESOLUTION, sharp=True)
     return render_row(
         [Panel(mesh, label=name)],
         size=SIZE,
@@ -109,7 +109,10 @@ def _row(name: str, shown: Field) -> str:
         own = next(f for f in own.history.operands if name in repr(f))
     summary = inspect.getdoc(getattr(fields, name)).split("\n\n")[0].replace("\n", " ")
     known = "exact" if own.exact else _steepness(own.lipschitz)
-    bounded = "yes" if own.bounds is not None else "no"
+    if own.is_profile and name in PRIMITIVES:
+        bounded = "in x and y" if own.extrude(1.0).bounds is not None else "no"
+    else:
+        bounded = "yes" if own.bounds is not None else "no"
     return f"| `{_call(name)}` | {summary.replace('|', chr(92) + '|')} | {known} | {bounded} |"
 
 

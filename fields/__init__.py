@@ -64,6 +64,7 @@ from fields.prisms import (
     box_frame,
     hexagonal_prism,
     prism,
+    rhombic_prism,
     sector,
     slab,
     triangular_prism,
@@ -113,6 +114,7 @@ from fields.round_solids import (
     rounded_cone,
     rounded_cylinder,
     solid_angle,
+    spindle,
 )
 from fields.tubes import (
     bezier_tube,
@@ -262,6 +264,7 @@ __all__ = [
     "repeat",
     "revolve",
     "rhombic_dodecahedron",
+    "rhombic_prism",
     "rhombic_triacontahedron",
     "rhombus",
     "right",
@@ -283,6 +286,7 @@ __all__ = [
     "slice",
     "solid_angle",
     "sphere",
+    "spindle",
     "spline",
     "star",
     "strip",

@@ -198,8 +198,11 @@ def points_tensor(argument: str, value: object) -> Tensor:
             "the last axis of the shape must hold x, y and z",
             "pass an array of shape (..., 3)",
         )
-    finite = points.detach().isfinite().all(dim=-1)
-    if not finite.all():
+    # A finite sum needs finite terms, and is by far the quicker to find out.
+    if (
+        not points.detach().sum().isfinite()
+        and not (finite := points.detach().isfinite().all(dim=-1)).all()
+    ):
         bad = (~finite).nonzero()
         first = tuple(bad[0].tolist())
         raise InputError(

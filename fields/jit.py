@@ -2,6 +2,9 @@
 
 Kernels are cached on disk beside their module (or where NUMBA_CACHE_DIR says), so that only the
 first process after an installation compiles them.
+
+A kernel's file is renewed when the kernel's own module changes, and not when a function that it
+uses from another module does: after such a change delete the `.nbi` files (`make clean` does).
 """
 
 from __future__ import annotations

@@ -32,6 +32,9 @@ Integers = NDArray[np.int64]
 SHIFT = 2
 """The largest cubes that are tried at once have 2**SHIFT blocks a side."""
 
+CUBES = 8
+"""Cubes that a thread takes at a time."""
+
 POINTS = 1 << 18
 """Samples that are taken at a time where an oracle is called."""
 
@@ -187,31 +190,29 @@ def _visit(
     starts = _starts(keys >> 3 * SHIFT)
 
     def task(start: int, stop: int) -> None:
-        for cube in range(start, stop):
-            visit_blocks(
-                program.codes,
-                program.arguments,
-                program.constants,
-                rounded,
-                int(program.outputs[0]),
-                (float(limits.tiny), float(limits.eps)),
-                float(lipschitz),
-                level,
-                lattice,
-                keys,
-                corners,
-                size,
-                int(starts[cube]),
-                int(starts[cube + 1]),
-                SHIFT,
-                found.bounds,
-                found.crossed,
-                sampled,
-                found.values,
-            )
+        visit_blocks(
+            program.codes,
+            program.arguments,
+            program.constants,
+            rounded,
+            int(program.outputs[0]),
+            (float(limits.tiny), float(limits.eps)),
+            float(lipschitz),
+            level,
+            lattice,
+            keys,
+            corners,
+            size,
+            starts[start : stop + 1],
+            SHIFT,
+            found.bounds,
+            found.crossed,
+            sampled,
+            found.values,
+        )
 
     if len(keys):
-        in_parts(task, len(starts) - 1, 1)
+        in_parts(task, len(starts) - 1, CUBES)
 
 
 def _visit_with_oracles(

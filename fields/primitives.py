@@ -58,6 +58,8 @@ def primitive(function: Callable[_P, Body]) -> Callable[_P, Field]:
         return make_field(body, notation.recorded(name, (), given, optional))
 
     constructor.__signature__ = own_signature.replace(return_annotation="Field")  # type: ignore[attr-defined]
+    if name in PRIMITIVES:
+        raise NameError(f"there is a primitive {name} already")
     PRIMITIVES[name] = constructor
     return constructor
 

@@ -129,7 +129,7 @@ def triangular_prism(side: float, height: float) -> Body:
 
 
 @primitive
-def rhombus(width: float, depth: float, height: float) -> Body:
+def rhombic_prism(width: float, depth: float, height: float) -> Body:
     """A prism on a rhombus about the z axis.
 
     Args:

@@ -260,7 +260,7 @@ def lens(diameter: float, thickness: float) -> Body:
 
 
 @primitive
-def vesica(height: float, width: float) -> Body:
+def spindle(height: float, width: float) -> Body:
     """A lemon: an arc of a circle turned about its chord, which lies on the z axis.
 
     Args:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, NamedTuple, overload
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from fields import Field
+from fields.expression import Expression
 from implicit_warp.errors import InputError
 from implicit_warp.maps import Map
 
@@ -83,10 +85,33 @@ def deform(thing, map_: Map, *, method: Method = "vertices", **options):
     )
 
 
+class Origin(NamedTuple):
+    """A field that was carried forward by a map, the map, and whether the result is a formula of
+    the field's (else it calls the map's inverse)."""
+
+    rest: Field
+    map: Map
+    formula: bool
+
+
+_origins: WeakKeyDictionary[Expression, Origin] = WeakKeyDictionary()
+
+
+def origin(field: Field) -> Origin | None:
+    """What `deform` made a field of; None for fields that it did not make."""
+    return _origins.get(field.expression)
+
+
 def _deform_field(field: Field, map_: Map) -> Field:
-    pulled = map_._pull_back(field)
-    if pulled is not None:
-        return pulled
+    carried = map_._pull_back(field)
+    formula = carried is not None
+    if not formula:
+        carried = _through_an_oracle(field, map_)
+    _origins[carried.expression] = Origin(field, map_, formula)
+    return carried
+
+
+def _through_an_oracle(field: Field, map_: Map) -> Field:
     forward, backward = map_.lipschitz
     known = field.lipschitz is not None and backward is not None
 

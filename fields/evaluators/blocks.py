@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fields.evaluators.enclosures import ASSUMED
 from fields.evaluators.intervals import run_box
 from fields.evaluators.registers import WIDTH, assign_registers
 from fields.evaluators.shortening import shorten
@@ -88,15 +89,14 @@ def visit_blocks(
     keys,
     corners,
     cells,
-    first,
-    last,
+    starts,
     shift,
     bounds,
     crossed,
     sampled,
     values,
 ):
-    """Bound, and sample, some blocks that are neighbours on the curve.
+    """Bound, and sample, the blocks of some cubes.
 
     Args:
         codes, arguments, constants, output: those of a `Program` of x, y and z with one output.
@@ -108,19 +108,20 @@ def visit_blocks(
         keys: `(n,)`, of the blocks along the curve, ascending.
         corners: `(n, 3)`, their first lattice points, in the same order.
         cells: along an edge of a block.
-        first, last, shift: the blocks from first to last - 1 agree in `keys >> 3 * shift`.
+        starts: where the blocks of each cube begin, and where those of the last end; those of a
+            cube agree in `keys >> 3 * shift`.
+        shift: see above.
         bounds, crossed: `(n, 2)` and `(n,)`, written.
         sampled: are values wanted?
         values: `(n, points)`, written for the crossed blocks; gives the dtype in any case.
     """
     inputs = 3
     length, depth = codes.size, shift + 2
-    # One program for each size of cube; the first is the whole.
-    all_codes = np.empty((depth + 1, length), np.int32)
-    all_arguments = np.empty((depth + 1, length, 3), np.int32)
-    all_constants, all_rounded = np.empty((depth + 1, length)), np.empty((depth + 1, length))
-    all_codes[0], all_arguments[0] = codes, arguments
-    all_constants[0], all_rounded[0] = constants, rounded
+    # A program for each size of cube, in the room that the whole one would take; number 0 is that.
+    whole = (codes, arguments, constants, rounded)
+    all_codes = np.empty((depth, length), np.int32)
+    all_arguments = np.empty((depth, length, 3), np.int32)
+    all_constants, all_rounded = np.empty((depth, length)), np.empty((depth, length))
     sizes, outputs = np.empty(depth + 1, np.int64), np.empty(depth + 1, np.int64)
     sizes[0], outputs[0] = length, output
     slots = np.zeros((inputs + length, 3))
@@ -133,25 +134,32 @@ def visit_blocks(
     points = np.zeros((3, (side**3 + BLOCK - 1) // BLOCK * BLOCK), values.dtype)
     # What is still to be visited: a range of blocks, the cube's size and the program's number.
     stack = np.empty((8 * depth + 8, 4), np.int64)
-    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = first, last, shift, 0
-    waiting = 1
+    waiting = 0
+    for cube in range(starts.size - 2, -1, -1):
+        if waiting == len(stack):
+            stack = np.concatenate((stack, np.empty_like(stack)))
+        stack[waiting, 0], stack[waiting, 1] = starts[cube], starts[cube + 1]
+        stack[waiting, 2], stack[waiting, 3] = shift, 0
+        waiting += 1
     while waiting > 0:
         waiting -= 1
         start, stop = stack[waiting, 0], stack[waiting, 1]
         scale, number = stack[waiting, 2], stack[waiting, 3]
-        program = (
+        program = whole
+        if number > 0:
+            program = (
+                all_codes[number - 1],
+                all_arguments[number - 1],
+                all_constants[number - 1],
+                all_rounded[number - 1],
+            )
+        shorter = (
             all_codes[number],
             all_arguments[number],
             all_constants[number],
             all_rounded[number],
         )
-        shorter = (
-            all_codes[number + 1],
-            all_arguments[number + 1],
-            all_constants[number + 1],
-            all_rounded[number + 1],
-        )
-        radius = 0.0
+        radius = farthest = 0.0
         for axis in range(3):
             least, most = corners[start, axis], corners[start, axis]
             for block in range(start + 1, stop):
@@ -161,6 +169,7 @@ def visit_blocks(
             centre = 0.5 * (low + high)
             slots[axis, 0], slots[axis, 1] = low, high
             middle[axis, 0], middle[axis, 1] = centre, centre
+            farthest = max(farthest, abs(low), abs(high))
             radius += max(high - centre, centre - low) ** 2
         _bounds(inputs, program, sizes[number], limits, slots, choices)
         result = outputs[number]
@@ -173,7 +182,9 @@ def visit_blocks(
             sizes[number + 1], outputs[number + 1] = size, result
             if lipschitz < np.inf:
                 _bounds(inputs, shorter, size, limits, middle, unused)
-                reach = lipschitz * np.sqrt(radius) * (1.0 + 1e-12) + error
+                reach = lipschitz * np.sqrt(radius) * (1.0 + 1e-12)
+                value = max(abs(middle[result, 0]), abs(middle[result, 1])) + reach
+                reach += min(error, ASSUMED * limits[1] * max(value, farthest))
                 low = max(low, middle[result, 0] - reach)
                 high = min(high, middle[result, 1] + reach)
                 is_crossed = low <= level <= high

@@ -132,11 +132,12 @@ class CompiledTape:
         array = points.numpy()
 
         def compute(index: int, inputs: list[Array]) -> list[Array]:
-            given = np.stack([np.empty((len(array), 4), array.dtype), *inputs], axis=-1)[..., 1:]
+            given = np.empty((len(array), 4, len(inputs)), array.dtype)
+            for column, item in enumerate(inputs):
+                given[..., column] = item
             stage = self.machines[index]
             found = np.empty((len(array), 4, len(stage.places)), array.dtype)
             numbers = stage.numbers.astype(array.dtype)
-            given = np.ascontiguousarray(given)
 
             def part(start: int, stop: int) -> None:
                 slopes_at(
@@ -222,9 +223,10 @@ def _oracle_bounds(
     bounds = np.empty((len(boxes), made.oracle.outputs, 2))
     bounds[:] = (-np.inf, np.inf)
     finite = np.isfinite(boxes).all(axis=(1, 2))
-    known = made.oracle.enclose(boxes[finite])
+    with np.errstate(over="ignore", invalid="ignore"):  # boxes may be as large as numbers get
+        known = made.oracle.enclose(boxes[finite])
     if known is not None:
-        bounds[finite] = known
+        bounds[finite] = np.where(np.isnan(known), (-np.inf, np.inf), known)
     size = np.maximum(np.abs(bounds).max(axis=(1, 2)), np.abs(boxes).max(axis=(1, 2)))[:, None]
     slack = np.where(np.isfinite(size), ORACLE * rounding * size, 0.0)
     low, high = bounds[..., 0] - slack, bounds[..., 1] + slack

@@ -254,7 +254,7 @@ def power_single(base, exponent):
     base, exponent = np.float64(base), np.float64(exponent)
     is_flat = base <= 0.0
     value = exponential(exponent * logarithm(1.0 if is_flat else base))
-    value = 1.0 if exponent == 0.0 else value
+    value = 1.0 if (exponent == 0.0) | (base == 1.0) else value
     return 0.0 if is_flat else value
 
 

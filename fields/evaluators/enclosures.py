@@ -11,8 +11,10 @@ from fields.oracle import Boxes
 from fields.tape import Tape
 
 ASSUMED = 1024.0
-"""Where a field calls an oracle that does not enclose, its values are taken to be computed within
-so many epsilon of the dtype, relative to the largest coordinate or value on the box."""
+"""Where a Lipschitz bound is used, values are taken to be computed within so many epsilon of the
+dtype, relative to the largest coordinate or value on the box, if nothing better is proved. (Nothing
+is where a `where_negative` is undecided: a rounding may then take the wrong branch, which changes
+little if the field is continuous, but intervals do not know that.)"""
 
 
 def bounds_on_boxes(
@@ -21,7 +23,8 @@ def bounds_on_boxes(
     """Low, high and error `(..., 3)` on boxes `(..., 2, 3)`; see `Field.enclose`.
 
     With a Lipschitz bound L, exact values are within L * r of the exact value at the centre, r
-    being half of the box's diagonal, and computed ones within the box's error of exact ones.
+    being half of the box's diagonal; computed ones are within the box's error of exact ones, or
+    within what is assumed of it, whichever is less.
     """
     checked = _checked(boxes)
     kind = checked_dtype(dtype)
@@ -37,23 +40,16 @@ def _tightened(
     tape: Tape, lipschitz: float, boxes: Boxes, dtype: np.dtype, found: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     centres = 0.5 * boxes.sum(axis=1)
-    reach = lipschitz * np.linalg.norm(
-        np.maximum(boxes[:, 1] - centres, centres - boxes[:, 0]), axis=1
-    )
-    reach *= 1 + 1e-12
-    middle = tape.compiled.bounds(np.stack([centres, centres], axis=1), dtype)
-    error = found[:, 2]
-    unknown = ~np.isfinite(error)
-    if unknown.any():  # an oracle that does not enclose
-        at = tape.compiled.values(torch.from_numpy(centres[unknown])).numpy()
-        size = np.maximum(np.abs(at), np.abs(centres[unknown]).max(axis=1)) + reach[unknown]
-        slack = ASSUMED * np.finfo(dtype).eps * size
-        middle[unknown] = np.stack([at - slack, at + slack, slack], axis=1)
-        error = error.copy()
-        error[unknown] = slack
-    low = np.maximum(found[:, 0], middle[:, 0] - reach - error)
-    high = np.minimum(found[:, 1], middle[:, 1] + reach + error)
-    return np.stack([low, high, np.minimum(error, high - low)], axis=1)
+    halves = np.maximum(boxes[:, 1] - centres, centres - boxes[:, 0])
+    reach = lipschitz * np.linalg.norm(halves, axis=1) * (1 + 1e-12)
+    at = tape.compiled.values(torch.from_numpy(centres)).numpy()
+    largest = np.maximum(np.abs(at) + reach, np.abs(boxes).max(axis=(1, 2)))
+    error = np.minimum(found[:, 2], ASSUMED * np.finfo(dtype).eps * largest)
+    with np.errstate(invalid="ignore"):  # infinity - infinity, which fmax and fmin pass over
+        margin = reach + error + ASSUMED * np.finfo(np.float64).eps * largest
+        low = np.fmax(found[:, 0], at - margin)
+        high = np.fmin(found[:, 1], at + margin)
+    return np.stack([low, high, error], axis=1)
 
 
 def checked_dtype(dtype: DTypeLike) -> np.dtype:

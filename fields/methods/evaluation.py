@@ -1,4 +1,4 @@
-"""Values, gradients and bounds of fields."""
+"""Values, gradients, bounds and shaders of fields."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from fields import arguments
 from fields.base import FieldBase
 from fields.evaluators.choice import runs_compiled
 from fields.evaluators.enclosures import bounds_on_boxes
+from fields.evaluators.shader import shader_text
 
 
 class Evaluation(FieldBase):
@@ -125,11 +126,15 @@ class Evaluation(FieldBase):
     def enclose(self, boxes: ArrayLike, dtype: DTypeLike = np.float64) -> NDArray[np.float64]:
         """What the values can be on boxes: rigorous lower and upper bounds.
 
-        By interval arithmetic over the formula, rounding included, tightened by the
-        Lipschitz bound around each box's centre if the field has one. The bounds hold for
-        the exact formula in real numbers and also for every value that `evaluate` computes
-        in the dtype at points of the box (of that dtype): where they exclude a number,
-        no sample can be on its other side.
+        By interval arithmetic over the formula, rounding included. The bounds hold for the
+        exact formula in real numbers and also for every value that `evaluate` computes in
+        the dtype at points of the box (of that dtype): where they exclude a number, no sample
+        can be on its other side.
+
+        If the field has a Lipschitz bound, the value at each box's centre gives a second pair,
+        and the tighter ones are returned. Computed values are then taken to be within 1024
+        epsilon of the dtype of exact ones, relative to the largest coordinate or value on the
+        box, unless the intervals prove that they are nearer.
 
         Args:
             boxes: `(..., 2, 3)`, rows minimum and maximum; sides may be infinite.
@@ -163,3 +168,22 @@ class Evaluation(FieldBase):
             InputError: as for `enclose`.
         """
         return bounds_on_boxes(self.tape, None, boxes, dtype)[..., 2]
+
+    def to_glsl(self, name: str = "field", dialect: str = "glsl") -> str:
+        """The field as the text of a shader function, for viewers that march rays.
+
+        Args:
+            name: of the function.
+            dialect: "glsl", for `float name(vec3 p)`, or "wgsl", for
+                `fn name(p: vec3<f32>) -> f32`.
+
+        Returns:
+            Text that needs nothing else, in float32, with the conventions of
+            `fields.expression` at the edges of its operations.
+
+        Raises:
+            InputError: the field calls an oracle (a mesh, a network, a map), whose formula
+                is not known, or has a constant that float32 cannot hold; the name or the
+                dialect is none.
+        """
+        return shader_text(self.tape, name, dialect)

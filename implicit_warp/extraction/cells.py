@@ -39,6 +39,20 @@ class Cells(NamedTuple):
         return Cells(*(np.concatenate(column) for column in zip(none, *parts, strict=True)))
 
 
+class Found(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        cells: the crossed cells.
+        doubtful: (m, 3) cells that are not crossed, but that the surface may enter.
+        certain: is it known to enter them?
+    """
+
+    cells: Cells
+    doubtful: NDArray[np.int64]
+    certain: bool = False
+
+
 class Surface(NamedTuple):
     """A mesh whose vertices are still crossings of lattice edges.
 

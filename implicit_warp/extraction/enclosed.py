@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fields.lattice import sample_blocks
-from implicit_warp.extraction.cells import Cells, crossed_cells_of_blocks
+from implicit_warp.extraction.cells import Cells, Found, crossed_cells_of_blocks
 from implicit_warp.extraction.cube import CORNERS
 from implicit_warp.extraction.samples import NUMPY, CornerSamples, Sampler
+from implicit_warp.extraction.sides import Places
+from implicit_warp.extraction.thin import doubtful_cells
 
 BLOCK = 8
 """Cells along the side of the blocks that are sampled."""
@@ -35,31 +37,43 @@ _OFFSETS = np.stack(np.meshgrid(*[np.arange(BLOCK + 1)] * 3, indexing="ij"), axi
 _PLACES = _OFFSETS.reshape(-1, 3)
 
 
-def crossed_cells(sampler: Sampler) -> Cells:
-    """All cells whose corners differ in sign."""
+def crossed_cells(sampler: Sampler, doubts: bool = False) -> Found:
+    """All cells whose corners differ in sign.
+
+    Args:
+        sampler: of the field.
+        doubts: are the doubtful cells wanted? They are looked for in fields without oracles only,
+            where bounds cost little.
+    """
     first, last = sampler.first_cell, sampler.last_cell
     axes = [np.arange(a, b + 1, _COARSEST) for a, b in zip(first, last, strict=True)]
     blocks = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     if sampler.field.tape.calls_oracles:
         blocks = undecided_blocks(sampler, blocks, _COARSEST, BLOCK)
-        if len(blocks) * BLOCK**3 < 0.5 * np.prod(last - first + 1.0):
-            return _without_repetition(sampler, blocks)
-        return _by_sampler(sampler, blocks)
+        few = len(blocks) * BLOCK**3 < 0.5 * np.prod(last - first + 1.0)
+        cells = _without_repetition(sampler, blocks) if few else _by_sampler(sampler, blocks)
+        return Found(cells, np.empty((0, 3), np.int64))
     blocks = undecided_blocks(sampler, blocks, _COARSEST, _SIDE)
     side = _SIDE
     while side > BLOCK:
         side //= 2
         blocks = split(blocks, side, last)
-    if not sampler.walled:
-        return _by_kernel(sampler, blocks)
     beyond = (blocks < 0).any(axis=1) | (blocks + BLOCK > last).any(axis=1)
-    parts = [_by_kernel(sampler, blocks[~beyond]), _by_sampler(sampler, blocks[beyond])]
-    return Cells.joined(parts, NUMPY[sampler.dtype])
+    beyond &= sampler.walled
+    cells, crossed_blocks = _by_kernel(sampler, blocks[~beyond])
+    if beyond.any():
+        parts = [cells, _by_sampler(sampler, blocks[beyond])]
+        cells = Cells.joined(parts, NUMPY[sampler.dtype])
+    if not doubts:
+        return Found(cells, np.empty((0, 3), np.int64))
+    doubtful = doubtful_cells(sampler, crossed_blocks, BLOCK)
+    return Found(cells, doubtful[Places(cells.corners).of(doubtful) < 0])
 
 
-def _by_kernel(sampler: Sampler, blocks: NDArray[np.int64]) -> Cells:
-    """The crossed cells of blocks within the lattice, all by compiled code."""
-    found, lattice = [], sampler.lattice
+def _by_kernel(sampler: Sampler, blocks: NDArray[np.int64]) -> tuple[Cells, NDArray[np.int64]]:
+    """The crossed cells of blocks within the lattice, all by compiled code; and the blocks that
+    bounds left undecided."""
+    found, undecided, lattice = [], [], sampler.lattice
     limits = np.stack([sampler.first_cell, sampler.last_cell])
     for block in np.array_split(blocks, max(1, -(-len(blocks) // _AT_ONCE))):
         sampled = sample_blocks(
@@ -75,7 +89,8 @@ def _by_kernel(sampler: Sampler, blocks: NDArray[np.int64]) -> Cells:
         sampler.took(values, _place_in(block))
         values = (values - NUMPY[sampler.dtype](sampler.level)).reshape(-1, *_OFFSETS.shape[:3])
         found.append(crossed_cells_of_blocks(block, values, limits))
-    return Cells.joined(found, NUMPY[sampler.dtype])
+        undecided.append(block)
+    return Cells.joined(found, NUMPY[sampler.dtype]), np.concatenate(undecided)
 
 
 def _place_in(blocks: NDArray[np.int64]) -> Callable[[int], NDArray[np.int64]]:

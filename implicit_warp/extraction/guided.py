@@ -14,7 +14,6 @@ the cells' sides, so such a part would be one that passes between them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,38 +22,23 @@ from numpy.typing import NDArray
 
 from fields import Field
 from fields.jit import kernel, parallel_kernel
-from implicit_warp.extraction.cells import Cells
+from implicit_warp import deformation
+from implicit_warp.deformation import Origin
+from implicit_warp.extraction.cells import Cells, Found
 from implicit_warp.extraction.cube import CORNERS, FACE_AXIS, FACE_SIDE
 from implicit_warp.extraction.samples import NUMPY, CornerSamples, Sampler, hashed
-from implicit_warp.maps import Map
 
 _MOST_STRETCH = 4.0
 """How much finer than the lattice the surface at rest is found, at most."""
 
 
-class Carried(NamedTuple):
-    """A field that is the image of another under a map."""
-
-    rest: Field
-    map: Map
-
-
-def carried(field: Field) -> Carried | None:
-    """What a field was made of by `implicit_warp.deform`; None for all others."""
-    from implicit_warp.deformation import PullBack
-
-    node = field.expression
-    if node.kind != "remap":
-        return None
-    calls = {axis.arguments[0] for axis in node.arguments[1:] if axis.kind == "component"}
-    oracle = next(iter(calls)).payload if len(calls) == 1 else None
-    if not isinstance(oracle, PullBack):
-        return None
-    (rest,) = field.history.operands
-    return Carried(rest, oracle.map)
+def carried(field: Field) -> Origin | None:
+    """What a field was carried from by a map that is no formula of it; None for all others."""
+    origin = deformation.origin(field)
+    return None if origin is None or origin.formula else origin
 
 
-def resolution_at_rest(carried: Carried, voxel: float, surface: NDArray[np.float64]) -> int:
+def resolution_at_rest(carried: Origin, voxel: float, surface: NDArray[np.float64]) -> int:
     """Voxels along the longest side of the field at rest, so that carried ones are no larger.
 
     Args:
@@ -68,23 +52,20 @@ def resolution_at_rest(carried: Carried, voxel: float, surface: NDArray[np.float
     return max(8, math.ceil(side / voxel * min(max(stretch, 1.0), _MOST_STRETCH)) + 4)
 
 
-def seeds(carried: Carried, surface: NDArray[np.float64], sampler: Sampler) -> NDArray[np.float64]:
-    """(n, 3) the images of points of the surface at rest, and the corners of the lattice.
-
-    The corners are for a lattice whose walls lie inside the shape everywhere.
-    """
-    images = carried.map(torch.from_numpy(surface).to(sampler.dtype)).double().numpy()
-    lattice = sampler.lattice
-    corners = lattice.origin + CORNERS * (lattice.far_corner - lattice.origin)
-    return np.concatenate([images, corners])
+def seeds(carried: Origin, surface: NDArray[np.float64], sampler: Sampler) -> NDArray[np.float64]:
+    """(n, 3) the images of points of the surface at rest."""
+    return carried.map(torch.from_numpy(surface).to(sampler.dtype)).double().numpy()
 
 
-def follow(sampler: Sampler, seeds: NDArray[np.float64], batch: int) -> Cells:
-    """The crossed cells that can be reached from the cells of some points.
+def follow(sampler: Sampler, seeds: NDArray[np.float64], batch: int) -> Found:
+    """The crossed cells that can be reached from the cells of some points of the surface.
+
+    The corners of the lattice are always among these, for walls that lie inside the shape all over.
 
     Args:
         sampler: of the field.
-        seeds: (n, 3) points; those beyond the lattice are moved into its outermost cells.
+        seeds: (n, 3) points of the surface; instead of those beyond the lattice its outermost
+            cells are looked at.
         batch: cells handled at a time.
     """
     lattice, samples = sampler.lattice, CornerSamples(sampler)
@@ -92,19 +73,26 @@ def follow(sampler: Sampler, seeds: NDArray[np.float64], batch: int) -> Cells:
     cells = np.floor((seeds - lattice.origin) / lattice.voxel).astype(np.int64)
     extent = np.array(lattice.shape) + 4
     visited = _Visited(extent)
-    frontier = visited.new(np.clip(cells, first, last))
+    within = ((cells >= first) & (cells <= last)).all(axis=1)
+    frontier = visited.new(cells[within])
+    outermost = [first + CORNERS * (last - first), np.clip(cells[~within], first, last)]
     found: list[Cells] = []
-    while len(frontier):
-        onwards = []
+    doubtful = None
+    while doubtful is None or len(frontier):
+        onwards, uncrossed = [], []
         for block in np.array_split(frontier, max(1, -(-len(frontier) // batch))):
             values = samples.of(block)
             inside = values < 0
             crossed = inside.any(axis=1) & ~inside.all(axis=1)
             cells = Cells(block[crossed], values[crossed])
             found.append(cells)
+            uncrossed.append(block[~crossed])
             onwards.append(_beyond_crossed_faces(*cells, first, last))
+        if doubtful is None:  # the first round: these hold seeds, and what is met later does not
+            doubtful = np.concatenate(uncrossed)
+            onwards += outermost
         frontier = visited.new(np.concatenate(onwards))
-    return Cells.joined(found, NUMPY[sampler.dtype])
+    return Found(Cells.joined(found, NUMPY[sampler.dtype]), doubtful, certain=True)
 
 
 class _Visited:

@@ -27,18 +27,18 @@ Guarantees: the mesh is watertight, edge- and vertex-manifold, and oriented outw
 the samples are; its topology is that of the signs. Every search but the guided one finds every
 sign; the guided one finds every part of the surface that a carried point falls on. Memory grows
 with the surface, not with the volume.
-Non-guarantees: parts thinner than a voxel may be missed or merged (see `thin`), edges and corners
-of the shape are bevelled at the scale of a voxel (see `sharp`), and faces may be slivers. No sample
-values are known to make the faces intersect, but that is tested and not proved: `check` decides it
-for the mesh at hand.
+Non-guarantees: parts thinner than a voxel may be missed or merged (see the option `thin`), edges
+and corners of the shape are bevelled at the scale of a voxel (see `sharp`), and faces may be
+slivers. No sample values are known to make the faces intersect, but that is proved for the
+triangles of one cell with one loop only (`cube`): `check` decides it for the mesh at hand.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -47,18 +47,28 @@ from numpy.typing import ArrayLike, NDArray
 from fields import Field
 from implicit_warp.errors import InputError, MissingDependency
 from implicit_warp.extraction import enclosed, guided, nearby
-from implicit_warp.extraction.cells import Cells, Surface, march, middles
-from implicit_warp.extraction.lattice import Lattice, lattice_for
+from implicit_warp.extraction.attributes import Attribute, Colours, add_attributes
+from implicit_warp.extraction.cells import Found, march, middles
+from implicit_warp.extraction.lattice import lattice_for
 from implicit_warp.extraction.placement import placed
+from implicit_warp.extraction.refining import Looked, refined, warn_of_thin_parts
+from implicit_warp.extraction.refusals import (
+    Search,
+    Thin,
+    refuse_bad_options,
+    refuse_empty,
+    refuse_fine_voxels,
+    refuse_open,
+)
 from implicit_warp.extraction.samples import Sampler
 from implicit_warp.extraction.sharp import sharpened
-from implicit_warp.extraction.walls import refuse_inside_at_walls
+from implicit_warp.extraction.thin import thin_cells
 
 if TYPE_CHECKING:
     import trimesh
 
-Search = Literal["auto", "enclosures", "distance", "guided"]
 Progress = Callable[[int, int], None]
+
 
 POLISHING = 8
 """Most rounds in which vertices are moved towards the field's own zero on their lattice edges."""
@@ -88,6 +98,7 @@ class ExtractionReport:
         vertices, faces: of the mesh.
         seconds: wall clock time.
         samples_at_rest: of a field at rest, from which the search was guided.
+        thin_cells: cells that a part thinner than a voxel enters, unseen.
     """
 
     search: str
@@ -101,6 +112,7 @@ class ExtractionReport:
     faces: int
     seconds: float
     samples_at_rest: int
+    thin_cells: int
 
     @property
     def share_sampled(self) -> float:
@@ -129,7 +141,10 @@ def extract_mesh(
     level: float = 0.0,
     search: Search = "auto",
     sharp: bool = False,
+    thin: Thin = "warn",
     polishing: int = POLISHING,
+    attributes: Sequence[Attribute] = (),
+    colours: Colours | None = None,
     dtype: torch.dtype = torch.float32,
     block: int = 1 << 17,
     progress: Progress | None = None,
@@ -149,8 +164,17 @@ def extract_mesh(
         level: the value of the surface; other than 0 it may leave the field's own bounds.
         search: how the cells at the surface are found; see the module's docstring.
         sharp: put vertices on the edges and corners of the shape, as `sharp` explains.
+        thin: what to do about parts, or gaps, that pass between the lattice points. "warn" (a
+            `ThinParts` warning) of those that leave whole neighbourhoods of cells unseen, where
+            looking costs little: not in fields that call functions without a Lipschitz bound.
+            "refine" the lattice by twos, at most to `FINEST`, until there are none of these, and
+            one twice as fine has the same number of pieces and the same Euler characteristic.
+            "ignore" them.
         polishing: most rounds of root finding along the lattice edges, after the first guess by
             linear interpolation; smooth surfaces need one or two.
+        attributes: what to note of each vertex in `mesh.vertex_attributes`: any of "rest_position",
+            "normal" and "distance_error".
+        colours: gives the vertices colours (n, 3), from 0 to 1, by their rest positions (n, 3).
         dtype: of the points and values, torch.float32 or torch.float64. Vertices are float64.
         block: points a call of the field; bounds the memory that the field uses.
         progress: called with the stages done and in all.
@@ -171,39 +195,54 @@ def extract_mesh(
             "trimesh", "extracting a mesh", "Install it with `pip install trimesh`"
         ) from error
     start = time.perf_counter()
-    _refuse_bad_options(field, at_wall, level, dtype, block, search, polishing)
-    lattice = lattice_for(field, resolution, bounds)
-    _refuse_fine_voxels(lattice, resolution, dtype)
+    refuse_bad_options(field, at_wall, level, dtype, block, search, polishing, thin)
     level = float(torch.tensor(level, dtype=dtype))
-    sampler = Sampler(field, lattice, level, dtype, block, walled=at_wall == "close")
     advance = _Stages(progress)
-
     chosen = _chosen(search, field, level)
-    cells, samples_at_rest = _find(chosen, sampler)
+
+    def look(factor: int) -> Looked:
+        lattice = lattice_for(field, factor * resolution, bounds)
+        refuse_fine_voxels(lattice, resolution, dtype)
+        sampler = Sampler(field, lattice, level, dtype, block, walled=at_wall == "close")
+        found, samples_at_rest = _find(chosen, sampler, doubts=thin != "ignore")
+        missed = np.empty((0, 3), np.int64)
+        if thin != "ignore":
+            missed = thin_cells(sampler, found.cells.corners, found.doubtful, found.certain)
+        return Looked(
+            factor * resolution, sampler, found, march(found.cells), missed, samples_at_rest
+        )
+
+    looked = look(1)
+    if thin == "refine":
+        looked = refined(look, looked)
     advance()
-    surface = march(cells)
-    _refuse_open(surface, sampler)
-    lattice_samples = sampler.count
+    sampler, surface, cells = looked.sampler, looked.surface, looked.found.cells
+    lattice, lattice_samples = sampler.lattice, sampler.count
+    refuse_open(surface, sampler)
     if not len(surface.faces):
-        _refuse_empty(sampler)
+        refuse_empty(sampler, len(looked.missed))
+    if len(looked.missed):
+        warn_of_thin_parts(looked, thin)
     advance()
     vertices, faces = placed(surface, sampler, polishing), surface.faces
     if sharp:
         vertices, faces, _ = sharpened(surface, cells.corners, vertices, sampler)
     advance()
     mesh = trimesh.Trimesh(lattice.origin + lattice.voxel * vertices, faces, process=False)
+    add_attributes(mesh, field, level, attributes, colours)
     report = ExtractionReport(
         search=chosen,
-        resolution=resolution,
+        resolution=looked.resolution,
         voxel=lattice.voxel,
         shape=lattice.shape,
         samples=sampler.count,
         lattice_samples=lattice_samples,
+        samples_at_rest=looked.samples_at_rest,
+        thin_cells=len(looked.missed),
         cells=len(cells.corners),
         vertices=len(vertices),
         faces=len(faces),
         seconds=time.perf_counter() - start,
-        samples_at_rest=samples_at_rest,
     )
     advance()
     return mesh, report
@@ -249,11 +288,11 @@ def _chosen(search: Search, field: Field, level: float) -> str:
     return search
 
 
-def _find(search: str, sampler: Sampler) -> tuple[Cells, int]:
+def _find(search: str, sampler: Sampler, doubts: bool) -> tuple[Found, int]:
     """The cells that the surface crosses; and samples taken elsewhere, of a field at rest."""
     field = sampler.field
     if search == "enclosures":
-        return enclosed.crossed_cells(sampler), 0
+        return enclosed.crossed_cells(sampler, doubts), 0
     if search == "distance":
         return nearby.crossed_cells(sampler, float(field.lipschitz), sampler.batch // 8), 0
     carried = guided.carried(field)
@@ -270,72 +309,6 @@ def _surface_at_rest(
     """Points (n, 3) near a field's surface, one in each crossed cell; and the samples taken."""
     lattice = lattice_for(rest, resolution, None)
     at_rest = replace(sampler, field=rest, lattice=lattice, walled=False)
-    cells, elsewhere = _find(_chosen("auto", rest, sampler.level), at_rest)
-    points = lattice.origin + lattice.voxel * middles(cells)
+    found, elsewhere = _find(_chosen("auto", rest, sampler.level), at_rest, doubts=False)
+    points = lattice.origin + lattice.voxel * middles(found.cells)
     return points, at_rest.count + elsewhere
-
-
-def _refuse_open(surface: Surface, sampler: Sampler) -> None:
-    """Every edge is met in four cells, or the mesh would have a hole there."""
-    refuse_inside_at_walls(surface, sampler)
-    missing = int((surface.uses != 4).sum())
-    if missing:
-        raise InputError(
-            "field.lipschitz",
-            sampler.field.lipschitz,
-            f"the field changes sign on {missing} lattice edges beside cells that its Lipschitz "
-            "bound, or what encloses its values, rules out",
-            "State the true bound, or none (lipschitz=None)",
-        )
-
-
-def _refuse_empty(sampler: Sampler) -> None:
-    lattice = sampler.lattice
-    axes = [np.linspace(0, n - 1, min(n, 17)).round().astype(np.int64) for n in lattice.shape]
-    sampler.at(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3))
-    raise InputError(
-        "field",
-        sampler.field,
-        f"no surface: the values sampled in the box lie between {sampler.lowest:.6g} and "
-        f"{sampler.highest:.6g}, and none is below the level {sampler.level:g}",
-        "Check the sign convention (negative inside), the bounds, and that the shape is "
-        f"thicker than a voxel ({lattice.voxel:.3g})",
-    )
-
-
-def _refuse_bad_options(
-    field: object,
-    at_wall: object,
-    level: object,
-    dtype: object,
-    block: object,
-    search: object,
-    polishing: object,
-) -> None:
-    if not isinstance(field, Field):
-        raise InputError("field", field, "not a field", "Wrap a function by fields.from_function")
-    if at_wall not in ("error", "close"):
-        raise InputError("at_wall", at_wall, "no such choice", 'Use "error" or "close"')
-    if not isinstance(level, int | float) or not np.isfinite(level):
-        raise InputError("level", level, "not a finite number", "Use 0 for the field's surface")
-    if dtype not in (torch.float32, torch.float64):
-        raise InputError("dtype", dtype, "not supported", "Use torch.float32 or torch.float64")
-    if not isinstance(block, int) or block < 1:
-        raise InputError("block", block, "not a positive whole number", "Leave it out")
-    if search not in get_args(Search):
-        raise InputError("search", search, "no such search", f"Use one of {get_args(Search)}")
-    if not isinstance(polishing, int) or polishing < 0:
-        raise InputError("polishing", polishing, "not a number of rounds", "Use 0 or more")
-
-
-def _refuse_fine_voxels(lattice: Lattice, resolution: int, dtype: torch.dtype) -> None:
-    """Neighbouring samples must be distinct points after rounding to `dtype`."""
-    farthest = float(np.abs([lattice.origin, lattice.far_corner]).max())
-    if lattice.voxel < 8.0 * torch.finfo(dtype).eps * farthest:
-        raise InputError(
-            "resolution",
-            resolution,
-            f"a voxel of {lattice.voxel:.3g} is lost in the rounding of {dtype} coordinates of "
-            f"size {farthest:.3g}",
-            "Use dtype=torch.float64, move the shape to the origin, or lower the resolution",
-        )

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from implicit_warp.extraction.cells import Cells
+from implicit_warp.extraction.cells import Cells, Found
 from implicit_warp.extraction.cube import CORNERS
 from implicit_warp.extraction.samples import NUMPY, CornerSamples, Sampler
 
@@ -27,7 +27,7 @@ _ROUNDING = 0.01
 """Voxels by which a ball is taken smaller, for the rounding of values and of lattice points."""
 
 
-def crossed_cells(sampler: Sampler, lipschitz: float, batch: int) -> Cells:
+def crossed_cells(sampler: Sampler, lipschitz: float, batch: int) -> Found:
     """All cells whose corners differ in sign.
 
     Args:
@@ -50,12 +50,15 @@ def crossed_cells(sampler: Sampler, lipschitz: float, batch: int) -> Cells:
         ]
         blocks = np.concatenate(children)
         size = half
+    doubtful = [np.empty((0, 3), np.int64)]
     for block in np.array_split(blocks, max(1, -(-len(blocks) // batch))):
         values = samples.of(block)
         inside = values < 0
         crossed = inside.any(axis=1) & ~inside.all(axis=1)
         found.append(Cells(block[crossed], values[crossed]))
-    return Cells.joined(found, NUMPY[sampler.dtype])
+        near = np.abs(values).min(axis=1, initial=np.inf) <= 0.5 * math.sqrt(3.0) * unit
+        doubtful.append(block[near & ~crossed])
+    return Found(Cells.joined(found, NUMPY[sampler.dtype]), np.concatenate(doubtful))
 
 
 def _children(

@@ -18,7 +18,7 @@ EXAMPLES: dict[str, Field] = {
     "prism, seven sides": sdf.prism(7, 0.9, 1.5),
     "hexagonal_prism": sdf.hexagonal_prism(1.3, 0.7),
     "triangular_prism": sdf.triangular_prism(1.6, 0.9),
-    "rhombus": sdf.rhombus(2.0, 1.1, 0.5),
+    "rhombic_prism": sdf.rhombic_prism(2.0, 1.1, 0.5),
     "wedge": sdf.wedge(1.8, 1.0, 0.9),
     "wedge, cut off": sdf.wedge(1.8, 1.0, 0.9, top=0.5),
     "wedge, a block": sdf.wedge(1.0, 1.0, 0.9, top=1.0),
@@ -105,8 +105,8 @@ SURFACES = {
     "triangular_prism": hull(
         EXAMPLES["triangular_prism"], _regular(3, 0.8 / np.sin(np.pi / 3), 0.9)
     ),
-    "rhombus": hull(
-        EXAMPLES["rhombus"],
+    "rhombic_prism": hull(
+        EXAMPLES["rhombic_prism"],
         np.array(
             [(x, y, z) for x, y in ((1, 0), (-1, 0), (0, 0.55), (0, -0.55)) for z in (-0.25, 0.25)]
         ),

@@ -35,7 +35,7 @@ EXAMPLES: dict[str, Field] = {
     "death_star, deep": sdf.death_star(1.1, 1.0, 0.5),
     "death_star, a slice": sdf.death_star(1.1, 2.0, 1.5),
     "lens": sdf.lens(2.4, 0.8),
-    "vesica": sdf.vesica(2.4, 1.0),
+    "spindle": sdf.spindle(2.4, 1.0),
     "egg": sdf.egg(0.8, 0.3, 0.9),
     "egg, blunt": sdf.egg(0.8, 0.7, 0.4),
     "ellipsoid": sdf.ellipsoid((1.5, 1.0, 0.5)),
@@ -232,8 +232,8 @@ SURFACES = {
         lambda r, z: (np.hypot(r, z) < 1.1) & (np.hypot(r, z - 1.5) > 2.0),
     ),
     "lens": revolved(EXAMPLES["lens"], _lens(1.2, 0.4), _in_lens),
-    "vesica": revolved(
-        EXAMPLES["vesica"],
+    "spindle": revolved(
+        EXAMPLES["spindle"],
         [arc((-VESICA_DEPTH, 0), VESICA_DEPTH + 0.5, -VESICA_TIP, VESICA_TIP)],
         _in_vesica,
     ),
