@@ -262,6 +262,7 @@ def test_bad_shapes_are_named(arguments, message):
         ({"learning_rate": 0.0}, "not a positive number"),
         ({"gradient_weight": -1.0}, "number >= 0"),
         ({"height": float("nan")}, "height"),
+        ({"radius": 0}, "radius.*not a positive number"),
         ({"align": "best"}, "use one of none, rigid, affine"),
         ({"precision": "float16"}, "precision"),
         ({"speed": 3}, "no such option.*learning_rate"),
