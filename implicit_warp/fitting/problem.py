@@ -21,6 +21,9 @@ PAPER_HEIGHT = 1.4
 _LARGEST_RATIO = 50.0
 """Source and target whose sizes differ by more than this are taken to be in different units."""
 
+_FARTHEST = 10.0
+"""Landmarks farther from the mesh than so many of its diagonals are taken for mistakes."""
+
 
 @dataclass(frozen=True)
 class Correspondence:
@@ -73,6 +76,9 @@ def correspondence(source: Any, target: Any, landmarks: Any, vertex_weights: Any
                 "pass meshes of the same connectivity, or points to ignore faces",
             )
     marks, mark_goals = (empty, empty) if landmarks is None else _landmarks(landmarks)
+    if source is not None:
+        _refuse_far_away("landmarks[0]", marks, points)
+        _refuse_far_away("landmarks[1]", mark_goals, goals)
     weights = _weights(vertex_weights, len(points))
     both = [torch.from_numpy(np.concatenate(p)) for p in ((points, marks), (goals, mark_goals))]
     _refuse_other_units(*both)
@@ -125,6 +131,19 @@ def _landmarks(landmarks: Any) -> tuple[np.ndarray, np.ndarray]:
             "pass two arrays of the same length",
         )
     return marks, goals
+
+
+def _refuse_far_away(argument: str, marks: np.ndarray, points: np.ndarray) -> None:
+    """Landmarks far from the shape would shrink it to a spot in the net's domain."""
+    centre, size = points.mean(0), np.linalg.norm(np.ptp(points, axis=0))
+    far = np.flatnonzero(np.linalg.norm(marks - centre, axis=1) > _FARTHEST * size)
+    if len(far):
+        raise InputError(
+            argument,
+            marks[far[0]].tolist(),
+            f"landmark {far[0]} is out of range, more than {_FARTHEST:g} sizes of the shape away",
+            "give landmarks in the units of the meshes",
+        )
 
 
 def _weights(weights: Any, count: int) -> np.ndarray:

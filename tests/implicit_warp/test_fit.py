@@ -253,6 +253,8 @@ def test_bad_shapes_are_named(arguments, message):
         ({"landmarks": POINTS}, "landmarks.*not a pair"),
         ({"landmarks": (POINTS, POINTS[:3])}, "600 points, 3 targets"),
         ({"landmarks": (POINTS, np.full((600, 3), np.inf))}, r"landmarks\[1\].*infinite"),
+        ({"landmarks": (POINTS * 1e5, POINTS)}, r"landmarks\[0\].*landmark 0 is out of range"),
+        ({"landmarks": (SOURCE.vertices[:3], POINTS[:3] * 1e5)}, r"landmarks\[1\].*out of range"),
         ({"vertex_weights": np.ones(3)}, r"should be \(600,\)"),
         ({"vertex_weights": -np.ones(600)}, "not negative"),
         ({"vertex_weights": np.zeros(600)}, "not all zero"),
