@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 import torch
 
+from fields.errors import InputError
 from fields.expression import OPERATIONS, Expression, X, Y, Z, apply, call, constant, remap
 from fields.oracle import FunctionOracle
 from fields.tape import Tape
@@ -59,7 +60,7 @@ def random_expression(
             name = str(rng.choice(names))
             try:
                 node = apply(name, *picked[: OPERATIONS[name].arity])
-            except ValueError:  # a constant that is not finite
+            except InputError:  # a constant that is not finite
                 continue
         if node not in nodes and node.kind != "constant" and _is_tame(node):
             nodes.append(node)
@@ -67,7 +68,10 @@ def random_expression(
 
 
 def _is_tame(node: Expression) -> bool:
-    values = Tape(node).evaluate(PROBES)
+    try:
+        values = Tape(node).evaluate(PROBES)
+    except InputError:  # a remap made an argument constant, and its result is not finite
+        return False
     return bool(values.isfinite().all() and (values.abs() < LIMIT).all())
 
 
