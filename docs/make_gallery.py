@@ -109,7 +109,10 @@ def _row(name: str, shown: Field) -> str:
         own = next(f for f in own.history.operands if name in repr(f))
     summary = inspect.getdoc(getattr(fields, name)).split("\n\n")[0].replace("\n", " ")
     known = "exact" if own.exact else _steepness(own.lipschitz)
-    bounded = "yes" if own.bounds is not None else "no"
+    if own.is_profile and name in PRIMITIVES:
+        bounded = "in x and y" if own.extrude(1.0).bounds is not None else "no"
+    else:
+        bounded = "yes" if own.bounds is not None else "no"
     return f"| `{_call(name)}` | {summary.replace('|', chr(92) + '|')} | {known} | {bounded} |"
 
 

@@ -146,7 +146,9 @@ def hull_faces(cloud: Points) -> list[Face]:
     triples = cloud[list(combinations(range(len(cloud)), 3))]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
-    wide = lengths > FLAT * size * size
+    # The widest triple of a plane comes first and gives its normal, for it rounds least.
+    order = np.argsort(-lengths)
+    wide = order[lengths[order] > FLAT * size * size]
     normals, corners = normals[wide] / lengths[wide, None], triples[wide, 0]
     heights = normals @ cloud.T - (normals * corners).sum(axis=1)[:, None]
     if not (np.abs(heights) > FLAT * size).any():

@@ -107,7 +107,13 @@ def read_metadata(path: str | Path) -> dict[str, str]:
     return _read(path)[1]
 
 
-def _read(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    """The tensors and the string metadata of any `.safetensors` file.
+
+    Raises:
+        InputError: there is no such file.
+        FileFormatError: it is truncated, or of another format.
+    """
     from safetensors import SafetensorError, safe_open
 
     path = Path(path)
@@ -115,13 +121,16 @@ def _read(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         raise InputError("path", str(path), "there is no such file", "check the path")
     try:
         with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            return {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise FileFormatError(
             f"{path}: not a readable .safetensors file ({error}). It may be truncated; "
-            "write it again with implicit_warp.save"
+            "write it again"
         ) from error
+
+
+def _read(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    tensors, metadata = read_tensors(path)
     if metadata.get("format") != FORMAT:
         raise FileFormatError(
             f"{path}: holds no map (its format is {metadata.get('format')!r}, not {FORMAT!r}). "

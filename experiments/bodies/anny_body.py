@@ -27,7 +27,7 @@ _PHENOTYPES = {
     "age": (0.67, 0.06),
     "muscle": (0.5, 0.12),
     "weight": (0.5, 0.1),
-    "height": (0.5, 0.12),
+    "height": (0.38, 0.085),
     "proportions": (0.5, 0.15),
 }
 

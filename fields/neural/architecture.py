@@ -35,8 +35,7 @@ class Siren:
     frequency: float = 30.0
 
     def __post_init__(self) -> None:
-        arguments.whole("width", self.width, 1, 4096)
-        arguments.whole("layers", self.layers, 1, 32)
+        _make_whole(self, {"width": 4096, "layers": 32})
         arguments.positive("frequency", self.frequency)
 
 
@@ -66,12 +65,8 @@ class HashGrid:
     layers: int = 2
 
     def __post_init__(self) -> None:
-        arguments.whole("levels", self.levels, 1, 32)
-        arguments.whole("coarsest", self.coarsest, 1, 4096)
-        arguments.whole("finest", self.finest, 1, 4096)
-        arguments.whole("log2_table", self.log2_table, 4, 24)
-        arguments.whole("width", self.width, 1, 4096)
-        arguments.whole("layers", self.layers, 1, 32)
+        sizes = {"levels": 32, "coarsest": 4096, "finest": 4096, "log2_table": 24}
+        _make_whole(self, {**sizes, "width": 4096, "layers": 32})
         if self.finest < self.coarsest:
             raise InputError(
                 "finest",
@@ -84,6 +79,13 @@ class HashGrid:
     def resolutions(self) -> np.ndarray:
         """Cells along an edge of each grid, `(levels,)`, from coarse to fine."""
         return np.rint(np.geomspace(self.coarsest, self.finest, self.levels)).astype(np.int64)
+
+
+def _make_whole(sizes: Siren | HashGrid, most: dict[str, int]) -> None:
+    """Check whole numbers from 1 to what is given by name; 3.0 becomes 3."""
+    for name, limit in most.items():
+        value = arguments.whole(name, getattr(sizes, name), 1, limit)
+        object.__setattr__(sizes, name, value)
 
 
 Architecture: TypeAlias = "Siren | HashGrid"

@@ -227,7 +227,7 @@ def fit_family(
         architecture: a `Siren`; by default one of 128 x 3 and frequency 10, which moves between
             shapes more smoothly than a higher one.
         options: as for `fit_neural`; of the weights only `distance_weight` and `clamp` play a part.
-            Samples are drawn for each shape; a step's batch is spread over all of them.
+            Samples are drawn for each shape; a step's batch is spread over all of them. On the CPU.
         progress: called with (steps done, steps in all, a short text) now and then.
         **changes: options by name.
 
@@ -267,19 +267,14 @@ def fit_family(
         groups = [*parameter_groups(network), (shifts, 0.1), ([latents], 0.1)]
         training = pool.training(groups, _Decoder(network, shifts, latents), options)
         status = training.run(progress or silent, lambda: None)
-    family = Family(network, shifts, latents, cube.box)
-    record = training.record
-    report = FamilyReport(
-        status=status,
-        steps=record.step,
-        seconds=record.seconds,
-        parameters=sum(parameter.numel() for parameter in training.parameters),
-        accuracies=[
+        family = Family(network, shifts, latents, cube.box)
+        accuracies = [
             measure(family.shape(index), shape, Cube(cube.box, _diagonal(shape.bounds)))
             for index, shape in enumerate(shapes)
-        ],
-        history=record.history,
-    )
+        ]
+    record = training.record
+    size = sum(parameter.numel() for parameter in training.parameters)
+    report = FamilyReport(status, record.step, record.seconds, size, accuracies, record.history)
     return family, report
 
 

@@ -56,11 +56,6 @@ def loss_terms(
     return terms
 
 
-def weighted(terms: dict[str, Tensor], options: NeuralOptions) -> Tensor:
-    """The sum that is minimised."""
-    return torch.stack([getattr(options, f"{name}_weight") * t for name, t in terms.items()]).sum()
-
-
 def distance_loss(values: Tensor, distances: Tensor, clamp: float | None) -> Tensor:
     """Mean absolute difference, clamped if there is a clamp (Park et al. 2019, eq. 4)."""
     if clamp is not None:

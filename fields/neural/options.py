@@ -13,6 +13,17 @@ import torch
 from fields import arguments
 from fields.errors import InputError
 
+_WHOLE = {
+    "steps": (1, 1 << 31),
+    "batch": (1, 1 << 31),
+    "gradient_batch": (1, 1 << 31),
+    "near_samples": (1, 1 << 31),
+    "box_samples": (1, 1 << 31),
+    "lipschitz_boxes": (0, 1 << 31),
+    "seed": (0, 1 << 53),
+}
+"""Options that are whole numbers, and their ranges."""
+
 
 @dataclass(frozen=True, slots=True)
 class NeuralOptions:
@@ -81,10 +92,9 @@ class NeuralOptions:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "gradient_batch", "near_samples", "box_samples"):
-            arguments.whole(name, getattr(self, name), 1, 1 << 31)
-        arguments.whole("lipschitz_boxes", self.lipschitz_boxes, 0, 1 << 31)
-        arguments.whole("seed", self.seed, 0, 2**63 - 1)
+        for name, (least, most) in _WHOLE.items():
+            whole = arguments.whole(name, getattr(self, name), least, most)
+            object.__setattr__(self, name, whole)  # 3.0 becomes 3
         for name in ("seconds", "clamp"):
             if getattr(self, name) is not None:
                 arguments.positive(name, getattr(self, name))

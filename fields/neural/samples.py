@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 _BAND = 0.03
 """Half the width of the band from which surface points are projected, over the diagonal."""
 
-_ROUNDS = 64
+_ROUNDS = 256
 """Draws of points in the box before a surface that no band catches is given up."""
 
 _ON_SURFACE = 1e-4
@@ -173,10 +173,11 @@ def _projected(source: Field, cube: Cube, count: int, rng: np.random.Generator) 
     found: list[Floats] = []
     have = 0
     for _ in range(_ROUNDS):
-        points = rng.uniform(cube.box[0], cube.box[1], (max(4 * count, 1 << 14), 3))
+        points = rng.uniform(cube.box[0], cube.box[1], (max(count, 1 << 14), 3))
         points = points[np.abs(_finite(source, points)) < _BAND * cube.diagonal]
-        for _ in range(4):
-            values, gradient = source(points), source.gradient(points)
+        points = points[: count - have + count // 8]  # a few are lost on the way
+        for _ in range(3):
+            values, gradient = source.value_and_gradient(points)
             squared = np.maximum((gradient**2).sum(axis=1), 1e-12)
             points = points - (values / squared)[:, None] * gradient
         on = np.abs(source(points)) <= _ON_SURFACE * cube.diagonal

@@ -33,6 +33,10 @@ class LearnSdf(Common):
     """Steps of the fit; 3000 if neither this nor --seconds is given."""
     seconds: float | None = None
     """Stop after so many seconds of training."""
+    samples: int | None = None
+    """Points drawn near the surface, 300,000 if not given; a third as many are drawn in the box."""
+    batch: int | None = None
+    """Points of the distance term a step, 4096 if not given."""
     seed: int = 0
     """Seed of every random choice."""
     report: Path | None = None
@@ -52,11 +56,7 @@ class LearnSdf(Common):
         from implicit_warp.threads import threads_for_steps
 
         self._refuse_bad_targets(refuse_target)
-        options = NeuralOptions(seconds=self.seconds, seed=self.seed)
-        if self.steps is not None:
-            options = options.with_changes({"steps": self.steps})
-        elif self.seconds is not None:  # the time decides alone
-            options = options.with_changes({"steps": 1_000_000})
+        options = NeuralOptions().with_changes(self._changes())
         shape = load_shape(self.shape)
         with progress_bar("learn") as update, threads_for_steps(options.batch):
             learned, report = fit_neural(
@@ -72,6 +72,20 @@ class LearnSdf(Common):
             write_json(report.to_dict(), self.report)
         say(f"{self.out}: {report}")
         return INTERRUPTED if report.status == "interrupted" else GOOD
+
+    def _changes(self) -> dict[str, int | float]:
+        """The options that were given."""
+        given = {
+            "steps": self.steps,
+            "seconds": self.seconds,
+            "batch": self.batch,
+            "near_samples": self.samples,
+            "box_samples": None if self.samples is None else self.samples // 3,
+            "seed": self.seed,
+        }
+        if self.steps is None and self.seconds is not None:
+            given["steps"] = 1_000_000  # the time decides alone
+        return {name: value for name, value in given.items() if value is not None}
 
     def _refuse_bad_targets(self, refuse_target) -> None:
         """Before the work: a path that will be refused must not cost a fit."""

@@ -109,21 +109,24 @@ def sharp_segments(
 ) -> Segments:
     """The steps of rings between normals that differ, where both cells of the face have a ring.
 
-    Faces that a ring passes twice are left out: a point put into one of the two steps there could
-    come to lie beyond the other.
+    Faces that a cell's rings pass twice are left out: a point put into one of the two steps there
+    could come to lie beyond the other.
     """
     place = np.arange(rings.points.shape[1])
     row, step = np.nonzero(place < rings.length[:, None])
     onward = (step + 1) % rings.length[row]
     ends = np.stack([rings.points[row, step], rings.points[row, onward]], axis=1)
     across = rings.faces[row, step]
-    passes = (rings.faces[row] == across[:, None]).sum(axis=1)
+    _, at, passes = np.unique(
+        6 * rings.cells[row] + across, return_inverse=True, return_counts=True
+    )
     alike = np.einsum("si,si->s", *normals[ends.T])
-    chosen = (alike < math.cos(math.radians(ANGLE))) & (passes == 1)
+    chosen = (alike < math.cos(math.radians(ANGLE))) & (passes[at] == 1)
     row, step, ends, across = row[chosen], step[chosen], ends[chosen], across[chosen]
     face = np.concatenate([FACE_AXIS[across][:, None], corners[rings.cells[row]]], axis=1)
     face[np.arange(len(face)), 1 + FACE_AXIS[across]] += FACE_SIDE[across]
-    _, number, count = np.unique(face, axis=0, return_inverse=True, return_counts=True)
+    names = np.concatenate([face, np.sort(ends, axis=1)], axis=1)
+    _, number, count = np.unique(names, axis=0, return_inverse=True, return_counts=True)
     number = number.reshape(-1)
     twice = count[number] == 2
     renumbered = np.cumsum(count == 2) - 1

@@ -96,7 +96,11 @@ def sharpened(
         wrong = np.concatenate(
             [
                 _intersecting_cells(
-                    points, faces, cell_of, found.corners, np.unique(rings.cells[unproved])
+                    sampler.lattice.origin + sampler.lattice.voxel * points,  # as they will be
+                    faces,
+                    cell_of,
+                    found.corners,
+                    np.unique(rings.cells[unproved]),
                 ),
                 _torn_cells(rings, len(vertices), found.first_piercing),
             ]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from implicit_warp.errors import FileFormatError, InputError
-from implicit_warp.files import atomic_write, refuse_target
+from implicit_warp.files import atomic_write, read_tensors, refuse_target
 from implicit_warp.fitting.options import FitOptions
 from implicit_warp.fitting.problem import Correspondence
 
@@ -48,7 +48,11 @@ class Checkpoint:
         """
         if not self.path.exists():
             return
-        tensors, metadata = self._read()
+        tensors, metadata = read_tensors(self.path)
+        if (metadata.get("format"), metadata.get("format_version")) != (FORMAT, FORMAT_VERSION):
+            raise FileFormatError(
+                f"{self.path}: holds no fit that this version can go on with. Choose another file"
+            )
         if metadata["fingerprint"] != self._fingerprint:
             raise InputError(
                 "checkpoint",
@@ -58,32 +62,15 @@ class Checkpoint:
             )
         state = json.loads(metadata["state"])
         fit.step, fit.seconds = state["step"], state["seconds"]
+        fit.relapses = state["relapses"]
         fit.history = [tuple(row) for row in state["history"]]
         fit.net.load_state_dict(_under("net.", tensors))
-        best = {**fit.net.state_dict(), **_under("best.", tensors)}
-        fit.best = (state["best"], best)
+        fit.best = (state["best"], _under("best.", tensors))
         optimiser = fit.optimiser.state_dict()
         optimiser["state"] = {
             int(index): _under(f"optimiser.{index}.", tensors) for index in state["parameters"]
         }
         fit.optimiser.load_state_dict(optimiser)
-
-    def _read(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-        from safetensors import SafetensorError, safe_open
-
-        try:
-            with safe_open(self.path, framework="pt") as file:
-                metadata = file.metadata() or {}
-                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        except (SafetensorError, OSError) as error:
-            raise FileFormatError(
-                f"{self.path}: not a readable .safetensors file ({error}). Remove it to start anew"
-            ) from error
-        if (metadata.get("format"), metadata.get("format_version")) != (FORMAT, FORMAT_VERSION):
-            raise FileFormatError(
-                f"{self.path}: holds no fit that this version can go on with. Choose another file"
-            )
-        return tensors, metadata
 
     def write(self, fit: _Fit) -> None:
         """Write the state of a fit, whole or not at all."""
@@ -98,6 +85,7 @@ class Checkpoint:
             "step": fit.step,
             "seconds": fit.seconds,
             "history": fit.history,
+            "relapses": fit.relapses,
             "best": fit.best[0],
             "parameters": list(states),
         }

@@ -38,7 +38,7 @@ class FitOptions(Options):
     frames: str = "cubic"
     boundary: str = "free"
     steps: int = 3000
-    learning_rate: float = 0.05
+    learning_rate: float = 0.2
     gradient_weight: float = 0.1
     landmark_weight: float = 1.0
     height: float | None = None

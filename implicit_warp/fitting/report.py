@@ -27,6 +27,8 @@ class FitReport:
         height: length in the user's units that counts as 1.4.
         history: (step, seconds, loss, vertex error, gradient error) at each review, None for an
             error that does not exist.
+        relapses: steps at which the loss had risen so much that the best state was taken up again,
+            at a lower learning rate.
         seed: of the start.
         options: the options used.
     """
@@ -40,6 +42,7 @@ class FitReport:
     loss: float
     height: float
     history: list[tuple[int, float, float, float | None, float | None]] = field(repr=False)
+    relapses: list[int]
     seed: int
     options: dict[str, Any] = field(repr=False)
 

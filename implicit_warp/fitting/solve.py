@@ -38,8 +38,27 @@ from implicit_warp.threads import threads_for_steps
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
 
-_REVIEW = 50
+_REVIEW = 25
 """Steps between reviews, which keep the best state, write the checkpoint and decide on stopping."""
+
+_WARM_UP = 20
+"""Steps in which the learning rate rises, at the start and after a relapse."""
+
+_RELAPSE = 20.0
+"""A loss so many times the best one is a relapse: the best state is taken up again, at a lower
+learning rate.  One step too far in many layers at once can throw a fit back to where it takes
+hundreds of steps to return from."""
+
+_LOWER = 0.7
+"""Factor on the learning rate after a relapse."""
+
+_BETAS = (0.9, 0.95)
+"""Adam's memory of gradients and of their squares.  The usual 0.999 remembers the steep first steps
+for as long as the fit takes, and lets a sudden slope take steps of many learning rates."""
+
+_BOUNDARY_RATE = 0.1
+"""Learning rate of the boundary's parameters against the weights': an increment moves every
+boundary vertex behind it, so that many small steps the same way add up to a turn of the square."""
 
 _NOISE = 0.01
 """Spread of the first parameters: at the identity all layers of one frame have the same gradient,
@@ -110,14 +129,20 @@ class _Fit:
                 noise = torch.randn(parameter.shape, generator=generator, dtype=torch.float64)
                 parameter += _NOISE * noise
         self.net = net.to(options.device)
-        self.optimiser = torch.optim.Adam(
-            self.net.parameters(), lr=options.learning_rate, fused=True
-        )
+        self.optimiser = self._new_optimiser()
         self.step, self.seconds = 0, 0.0
+        self.relapses: list[int] = []
         self.history: list[tuple[int, float, float, float | None, float | None]] = []
         self.best: tuple[float, dict[str, Tensor]] | None = None
         if saved is not None:
             saved.restore(self)
+
+    def _new_optimiser(self) -> torch.optim.Adam:
+        groups = [
+            {"params": [parameter], "rate": _BOUNDARY_RATE if name == "theta_boundary" else 1.0}
+            for name, parameter in self.net.named_parameters()
+        ]
+        return torch.optim.Adam(groups, betas=_BETAS, fused=True)
 
     def run(self, update, callback) -> Warp:
         """The loop; returns the best state found."""
@@ -146,12 +171,17 @@ class _Fit:
 
     def _advance(self) -> None:
         for group in self.optimiser.param_groups:
-            group["lr"] = self._rate()
+            group["lr"] = self._rate() * group["rate"]
         image = evaluate.forward(self.net.stack(), self.problem.source)
         loss = self.problem.total(self.problem.errors(image))
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimiser.step()
+        if 1000.0 * float(loss.detach()) <= _RELAPSE * self.best[0]:
+            self.optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            self.optimiser.step()
+        else:  # also NaN
+            self.net.load_state_dict(self.best[1])
+            self.optimiser = self._new_optimiser()
+            self.relapses.append(self.step)
         self.step += 1
 
     def _rate(self) -> float:
@@ -160,8 +190,10 @@ class _Fit:
         done = self.step / options.steps
         if options.seconds is not None:
             done = max(done, min(self.seconds / options.seconds, 1.0))
-        rise = min(1.0, (self.step + 1) / 20)
-        return options.learning_rate * rise * max(0.5 * (1.0 + math.cos(math.pi * done)), 1e-3)
+        fall = max(0.5 * (1.0 + math.cos(math.pi * done)), 1e-3)
+        since = self.step - (self.relapses[-1] if self.relapses else 0)
+        rise = min(1.0, (since + 1) / _WARM_UP)
+        return options.learning_rate * _LOWER ** len(self.relapses) * rise * fall
 
     @torch.no_grad()
     def _measure(self) -> dict[str, float]:
@@ -220,6 +252,7 @@ class _Fit:
             loss=errors["total"],
             height=self.problem.height,
             history=self.history,
+            relapses=self.relapses,
             seed=self.options.seed,
             options=asdict(self.options),
         )

@@ -74,13 +74,10 @@ def test_the_figure_is_one_closed_solid_and_bends(figure):
 
 def test_fitting_a_figure(figure, tmp_path):
     pair = next(pairs(1, 5, figure, tmp_path))
-    warp = iw.fit(
-        pair.source, pair.target, height=pair.height, layers=12, resolution=7, steps=150,
-        progress=False,
-    )  # fmt: skip
+    warp = iw.fit(pair.source, pair.target, height=pair.height, steps=150, progress=False)
     report = warp.report
     assert report.vertex_error < report.history[0][3] / 30
-    assert report.gradient_error < report.history[0][4] / 4
+    assert report.gradient_error < report.history[0][4] / 8
     assert iw.certify(warp).proved
 
 

@@ -103,7 +103,8 @@ def test_the_lipschitz_bound_is_a_bound_and_falls_with_work(rng):
     steepest = float(gradients.norm(dim=-1).max())
     rough, fine = (lipschitz_bound(network, boxes) for boxes in (512, 16_000))
     assert steepest <= fine <= rough
-    assert fine < 2 * steepest
+    assert fine < 0.9 * rough
+    assert fine < 3 * steepest
 
 
 def test_an_oracle_encloses_in_its_own_units_wherever_the_box_lies(rng):

@@ -112,7 +112,7 @@ def test_what_cannot_be_a_family_is_refused(fitted):
         sdf.fit_family([sdf.sphere(1), sdf.cylinder(1)])
     with pytest.raises(InputError, match="whole number"):
         sdf.fit_family(SPHERES, latent=2.5)
-    with pytest.raises(InputError, match="out of range"):
+    with pytest.raises(InputError, match="whole number from 0 to 2"):
         family.shape(3)
     with pytest.raises(InputError, match="4 finite numbers"):
         family.at([0.0, 1.0])

@@ -46,7 +46,7 @@ def test_the_report_agrees_with_an_independent_measurement(fitted, rng):
     error = np.abs(learned(points) - TORUS(points)).mean() / diagonal
     assert report.accuracy.box_error == pytest.approx(error, rel=0.1)
     assert report.history[-1][0] == 250
-    assert json.loads(json.dumps(report.to_dict()))["accuracy"]["points"] == 20_000
+    assert json.loads(json.dumps(report.to_dict()))["accuracy"]["points"] == 10_000
     assert "250 steps" in str(report)
 
 
@@ -216,7 +216,7 @@ def test_losses_of_simple_numbers():
     gradient = torch.tensor([[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]], requires_grad=True)
     loss = eikonal_loss(gradient)
     loss.backward()
-    assert float(loss) == pytest.approx((16 + 1) / 2, abs=1e-4)
+    assert float(loss.detach()) == pytest.approx((16 + 1) / 2, abs=1e-4)
     assert gradient.grad.isfinite().all()
 
 
@@ -256,7 +256,7 @@ def test_samples_hold_the_source_s_own_distances():
 @pytest.mark.parametrize(
     ("changes", "argument", "cause"),
     [
-        ({"steps": 0}, "steps", "out of range"),
+        ({"steps": 0}, "steps", "whole number from"),
         ({"seconds": -1.0}, "seconds", "greater than zero"),
         ({"near_samples": 10}, "near_samples", "too few"),
         ({"box_samples": 10}, "box_samples", "too few"),
@@ -265,7 +265,7 @@ def test_samples_hold_the_source_s_own_distances():
         ({"near_scales": (0.1, -0.1)}, "near_scales", "negative"),
         ({"normal_weight": -1.0}, "normal_weight", "negative"),
         ({"clamp": 0.0}, "clamp", "greater than zero"),
-        ({"seed": -1}, "seed", "out of range"),
+        ({"seed": -1}, "seed", "whole number from"),
         ({"device": "abacus"}, "device", "torch cannot use it"),
         ({"stepz": 3}, "stepz", "no such option"),
         (

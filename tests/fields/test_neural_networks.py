@@ -147,5 +147,10 @@ def test_impossible_sizes_are_refused(make, argument):
     assert caught.value.argument == argument
 
 
+def test_whole_floats_are_whole_numbers():
+    assert Network(Siren(width=4.0, layers=2.0), _generator()).parameter_count == 16 + 20 + 5
+    assert isinstance(HashGrid(levels=3.0).levels, int)
+
+
 def test_one_level_is_the_coarsest():
     assert HashGrid(levels=1, coarsest=7, finest=90).resolutions.tolist() == [7]

@@ -180,6 +180,14 @@ def test_it_stops_at_goals_at_a_plateau_and_in_time():
     assert in_time.report.status == "stopped at the time limit"
 
 
+def test_a_relapse_goes_back_to_the_best_state_more_slowly():
+    """What is nearly met at the start is lost by steps of the usual size, and found again."""
+    report = iw.fit(SOURCE, SOURCE, steps=300, **SMALL).report
+    assert report.relapses
+    assert report.loss < report.history[0][2] / 4
+    assert iw.fit(SOURCE, TARGET, steps=50, **SMALL).report.relapses == []
+
+
 EMPTY = trimesh.Trimesh(POINTS, np.empty((0, 3), dtype=int), process=False)
 FLIPPED = trimesh.Trimesh(TARGET.vertices, TARGET.faces[:, ::-1], process=False)
 FEWER = trimesh.Trimesh(TARGET.vertices, TARGET.faces[:-1], process=False)

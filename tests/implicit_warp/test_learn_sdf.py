@@ -15,6 +15,8 @@ from implicit_warp.errors import FileFormatError, InputError
 from implicit_warp.mesh_files import read_mesh, write_mesh
 from implicit_warp.shapes import load_shape
 
+SMALL = ["--architecture", "siren", "--samples", "6000", "--batch", "512"]
+
 HANDLES = """
 [[handle]]
 region = "below(-0.6)"
@@ -39,7 +41,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("learned")
     write_mesh(trimesh.creation.icosphere(3), folder / "ball.obj")
     arguments = ["learn-sdf", f"{folder}/ball.obj", "-o", f"{folder}/sdf.safetensors"]
-    arguments += ["--architecture", "siren", "--steps", "60", "--report", f"{folder}/r.json"]
+    arguments += [*SMALL, "--steps", "100", "--report", f"{folder}/r.json"]
     arguments += ["--checkpoint", f"{folder}/state.safetensors"]
     assert main(arguments) == 0
     return folder
@@ -48,7 +50,7 @@ def folder(tmp_path_factory):
 def test_the_command_writes_the_field_and_its_figures(folder):
     report = json.loads((folder / "r.json").read_text())
     assert report["status"] == "finished"
-    assert report["steps"] == 60
+    assert report["steps"] == 100
     assert report["architecture"]["kind"] == "siren"
     assert 0 < report["accuracy"]["near_error"] < 0.01
     shape = load_shape(folder / "sdf.safetensors")
@@ -61,7 +63,7 @@ def test_info_says_what_each_file_is(folder, capsys):
     assert "learned field: neural SIREN of" in text
     assert "near_error" in text
     assert main(["info", f"{folder}/state.safetensors"]) == 0
-    assert "checkpoint: 60 of 60 steps" in capsys.readouterr().out
+    assert "checkpoint: 100 of 100 steps" in capsys.readouterr().out
     iw.save(iw.Affine(np.eye(3)), folder / "map.safetensors")
     assert main(["info", f"{folder}/map.safetensors"]) == 0
     assert "map: Affine" in capsys.readouterr().out
@@ -107,9 +109,9 @@ def test_a_map_never_replaces_the_field_it_deforms(folder, capsys):
 
 def test_a_fit_is_resumed_by_command(folder, capsys):
     resume = ["learn-sdf", f"{folder}/ball.obj", "-o", f"{folder}/longer.safetensors", "--resume"]
-    resume += ["--architecture", "siren", "--checkpoint", f"{folder}/state.safetensors"]
-    assert main([*resume, "--steps", "70"]) == 0
-    assert "finished after 70 steps" in capsys.readouterr().out
+    resume += [*SMALL, "--checkpoint", f"{folder}/state.safetensors"]
+    assert main([*resume, "--steps", "110"]) == 0
+    assert "finished after 110 steps" in capsys.readouterr().out
 
 
 def test_ctrl_c_leaves_the_best_on_disk(folder, monkeypatch, capsys):
@@ -123,7 +125,7 @@ def test_ctrl_c_leaves_the_best_on_disk(folder, monkeypatch, capsys):
     review = training.Training._review
     monkeypatch.setattr(training.Training, "_review", stop)
     out = folder / "cut.safetensors"
-    command = ["learn-sdf", f"{folder}/ball.obj", "-o", f"{out}", "--architecture", "siren"]
+    command = ["learn-sdf", f"{folder}/ball.obj", "-o", f"{out}", *SMALL]
     assert main([*command, "--steps", "100000"]) == 130
     assert "interrupted after" in capsys.readouterr().out
     assert sdf.load_neural(out)([0, 0, 0]) < 0
