@@ -52,6 +52,15 @@ class Oracle(Protocol):
         ...
 
 
+@runtime_checkable
+class DifferentiatedOracle(Oracle, Protocol):
+    """An oracle that computes its derivatives along with its values, sooner than autograd could."""
+
+    def value_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Values `(n, outputs)` and Jacobians `(n, outputs, 3)` at points `(n, 3)`; no graph."""
+        ...
+
+
 def enclose_by_lipschitz(oracle: Oracle, boxes: Boxes, lipschitz: float) -> NDArray[np.float64]:
     """`Oracle.enclose` for one whose every output changes by at most so much a unit of distance.
 

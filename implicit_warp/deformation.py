@@ -142,6 +142,10 @@ class PullBack:
         """Where points `(..., 3)` come from."""
         return self.map._inverse(points.reshape(-1, 3)).reshape(points.shape)
 
+    def value_and_jacobian(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Where points (n, 3) come from, and the Jacobians of the map's inverse there."""
+        return self.map._inverse_and_jacobian(points)
+
     def enclose(self, boxes: np.ndarray) -> np.ndarray | None:
         """Boxes `(n, 3, 2)` around where boxes `(n, 2, 3)` come from; None for maps that know none.
 

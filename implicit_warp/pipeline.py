@@ -68,6 +68,7 @@ def deform_to_files(
     *,
     options: ElasticOptions | None = None,
     resolution: int = 192,
+    sharp: bool = True,
     warp_path: str | Path | None = None,
     report_path: str | Path | None = None,
     picture_path: str | Path | None = None,
@@ -82,6 +83,7 @@ def deform_to_files(
         mesh_path: the deformed mesh, format by suffix.
         options: of the elastic solve.
         resolution: voxels along the longest side of the deformed shape's box.
+        sharp: are edges and corners of the shape kept?
         warp_path: where to save the map (`.safetensors`).
         report_path: where to save the report (JSON).
         picture_path: where to save the picture before | after (PNG).
@@ -92,7 +94,7 @@ def deform_to_files(
         InputError: see `elastic`, `extract` and `write_mesh`.
     """
     from implicit_warp.checking import check
-    from implicit_warp.extraction import extract
+    from implicit_warp.extraction import extract_mesh
     from implicit_warp.progress import progress_bar
 
     # Before the work: a path or a resolution that will be refused must not cost a solve.
@@ -122,19 +124,13 @@ def deform_to_files(
             write_json(report, report_path)
         return Outcome(warp, None, None, report)
 
-    start = time.perf_counter()
     warped = deform(shape, warp)
     with progress_bar("extract", progress) as update:
-        mesh = extract(warped, resolution, progress=update)
+        mesh, extraction = extract_mesh(warped, resolution, sharp=sharp, progress=update)
     write_mesh(mesh, mesh_path)
     extracted = time.perf_counter()
     verdict = check(mesh_path, referees=referees)
-    report["extraction"] = {
-        "resolution": resolution,
-        "vertices": len(mesh.vertices),
-        "faces": len(mesh.faces),
-        "seconds": extracted - start,
-    }
+    report["extraction"] = extraction.to_dict()
     report["check"] = {**verdict.to_dict(), "seconds": time.perf_counter() - extracted}
     if picture_path is not None:
         start = time.perf_counter()

@@ -20,7 +20,7 @@ from fields.evaluators.registers import WIDTH, assign_registers
 from fields.evaluators.slopes import slopes_at
 from fields.evaluators.threads import in_parts
 from fields.evaluators.values import values_at
-from fields.oracle import Boxes
+from fields.oracle import Boxes, DifferentiatedOracle, Oracle
 from fields.tape import Tape, called
 
 Array = NDArray[np.floating]
@@ -155,19 +155,11 @@ class CompiledTape:
 
         def call(made: OracleCall, arguments: list[Array]) -> list[Array]:
             inner = np.stack(arguments, axis=-1)  # (n, 4, 3)
-            with torch.enable_grad():
-                where = torch.tensor(inner[:, 0], requires_grad=True)
-                outputs = called(made.oracle, where)
-                rows = [
-                    torch.autograd.grad(outputs[:, k].sum(), where, retain_graph=True)[0]
-                    for k in range(made.oracle.outputs)
-                ]
-            results = []
-            for k, row in enumerate(rows):
-                derivatives = np.einsum("nj,nij->ni", _numpy(row, array.dtype), inner[:, 1:])
-                value = _numpy(outputs[:, k], array.dtype)
-                results.append(np.column_stack([value, derivatives]))
-            return results
+            outputs, jacobian = _differentiated(made.oracle, torch.tensor(inner[:, 0]))
+            values = _numpy(outputs, array.dtype)
+            chained = np.einsum("noj,nij->noi", _numpy(jacobian, array.dtype), inner[:, 1:])
+            results = np.concatenate([values[..., None], chained], axis=-1)
+            return list(np.moveaxis(results, 1, 0))
 
         return torch.from_numpy(run_stages(self.stages, compute, call))
 
@@ -207,6 +199,21 @@ class CompiledTape:
             return _oracle_bounds(made, np.stack(arguments, axis=1), rounding)
 
         return run_stages(self.stages, compute, call)
+
+
+def _differentiated(oracle: Oracle, points: Tensor) -> tuple[Tensor, Tensor]:
+    """An oracle's values `(n, outputs)` and Jacobians `(n, outputs, 3)`."""
+    if isinstance(oracle, DifferentiatedOracle):
+        with torch.no_grad():
+            return oracle.value_and_jacobian(points)
+    with torch.enable_grad():
+        where = points.requires_grad_()
+        outputs = called(oracle, where)
+        rows = [
+            torch.autograd.grad(outputs[:, k].sum(), where, retain_graph=True)[0]
+            for k in range(oracle.outputs)
+        ]
+    return outputs.detach(), torch.stack(rows, dim=1)
 
 
 def _oracle_bounds(

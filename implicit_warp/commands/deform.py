@@ -45,6 +45,8 @@ class Deform(Common):
     """The deformed mesh: .stl, .obj, .ply, .off, .glb or .3mf."""
     resolution: int = 192
     """Voxels along the longest side of the result's box."""
+    sharp: bool = True
+    """Keep the edges and corners of the shape; without, they are bevelled by half a voxel."""
     warp: Path | None = None
     """Where to save the map (.safetensors); beside the mesh if not given."""
     report: Path | None = None
@@ -85,6 +87,7 @@ class Deform(Common):
             self.out,
             options=ElasticOptions.from_mapping(solve),
             resolution=self.resolution,
+            sharp=self.sharp,
             warp_path=warp_path,
             report_path=self.report,
             picture_path=self.picture,

@@ -28,9 +28,9 @@ the samples are; its topology is that of the signs. Every search but the guided 
 sign; the guided one finds every part of the surface that a carried point falls on. Memory grows
 with the surface, not with the volume.
 Non-guarantees: parts thinner than a voxel may be missed or merged (see the option `thin`), edges
-and corners of the shape are bevelled at the scale of a voxel (see `sharp`), and faces may be
-slivers. No sample values are known to make the faces intersect, but that is proved for the
-triangles of one cell with one loop only (`cube`): `check` decides it for the mesh at hand.
+near corners may be off by part of a voxel (see `sharp`), and faces may be slivers. No sample
+values are known to make the faces intersect, but that is proved for the triangles of one cell with
+one loop only (`cube`): `check` decides it for the mesh at hand.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def extract_mesh(
     at_wall: Literal["error", "close"] = "error",
     level: float = 0.0,
     search: Search = "auto",
-    sharp: bool = False,
+    sharp: bool = True,
     thin: Thin = "warn",
     polishing: int = POLISHING,
     attributes: Sequence[Attribute] = (),
@@ -163,7 +163,8 @@ def extract_mesh(
             caps it there with a flat face (within `NEAREST` of a voxel of the wall).
         level: the value of the surface; other than 0 it may leave the field's own bounds.
         search: how the cells at the surface are found; see the module's docstring.
-        sharp: put vertices on the edges and corners of the shape, as `sharp` explains.
+        sharp: put vertices on the edges and corners of the shape, as `sharp` explains; without,
+            they are bevelled at the scale of a voxel.
         thin: what to do about parts, or gaps, that pass between the lattice points. "warn" (a
             `ThinParts` warning) of those that leave whole neighbourhoods of cells unseen, where
             looking costs little: not in fields that call functions without a Lipschitz bound.

@@ -8,9 +8,10 @@ import mpmath
 import numpy as np
 import torch
 
+from fields.errors import InputError
 from fields.expression import OPERATIONS, Expression, X, Y, Z, apply, call, constant, remap
 from fields.oracle import FunctionOracle
-from fields.tape import Tape
+from fields.tape import Tape, called
 
 LIMIT = 1e6
 """Expressions with larger values at the probes are not drawn: they say little."""
@@ -59,7 +60,7 @@ def random_expression(
             name = str(rng.choice(names))
             try:
                 node = apply(name, *picked[: OPERATIONS[name].arity])
-            except ValueError:  # a constant that is not finite
+            except InputError:  # a constant that is not finite
                 continue
         if node not in nodes and node.kind != "constant" and _is_tame(node):
             nodes.append(node)
@@ -67,8 +68,37 @@ def random_expression(
 
 
 def _is_tame(node: Expression) -> bool:
-    values = Tape(node).evaluate(PROBES)
+    try:
+        tape = Tape(node)
+    except InputError:  # a remap made an argument constant, and its result is not finite
+        return False
+    constants = [i.payload for i in tape.instructions if i.kind == "constant"]
+    if max(map(abs, constants), default=0) > 1e30:  # no constant of float32, or nearly none
+        return False
+    values = tape.evaluate(PROBES)
     return bool(values.isfinite().all() and (values.abs() < LIMIT).all())
+
+
+def all_finite(root: Expression, points: torch.Tensor) -> np.ndarray:
+    """Where no intermediate result is NaN or infinite in the points' dtype, `(...)`."""
+    slots: list[torch.Tensor] = []
+    finite = torch.ones(points.shape[:-1], dtype=torch.bool)
+    for instruction in Tape(root).instructions:
+        given = [slots[index] for index in instruction.arguments]
+        if instruction.kind == "constant":
+            slots.append(points.new_tensor(instruction.payload))
+        elif instruction.kind == "coordinate":
+            slots.append(points[..., instruction.payload])
+        elif instruction.kind == "call":
+            where = torch.stack([item.expand(finite.shape) for item in given], dim=-1)
+            slots.append(called(instruction.payload, where))
+            continue
+        elif instruction.kind == "component":
+            slots.append(given[0][..., instruction.payload])
+        else:
+            slots.append(OPERATIONS[instruction.kind].torch(*given))
+        finite &= slots[-1].isfinite()
+    return finite.numpy()
 
 
 def exact_value(root: Expression, point: np.ndarray) -> mpmath.mpf:
