@@ -81,15 +81,15 @@ class CompiledTape:
     @torch.no_grad()
     def values(self, points: Tensor) -> Tensor:
         """Values `(...)` at float32 or float64 points `(..., 3)` on the CPU, without a graph."""
-        flat = points.detach().reshape(-1, COORDINATES)
-        result = torch.empty(len(flat), dtype=points.dtype)
+        # By numpy: copies by torch would wake its own threads, which then spin beside ours.
+        flat = points.detach().numpy().reshape(-1, COORDINATES)
+        result = np.empty(len(flat), flat.dtype)
         for start in range(0, len(flat), CHUNK):
-            part = flat[start : start + CHUNK].contiguous()
+            part = np.ascontiguousarray(flat[start : start + CHUNK])
             result[start : start + CHUNK] = self._values(part)
-        return result.reshape(points.shape[:-1])
+        return torch.from_numpy(result.reshape(points.shape[:-1]))
 
-    def _values(self, points: Tensor) -> Tensor:
-        array = points.numpy()
+    def _values(self, array: Array) -> Array:
 
         def compute(index: int, inputs: list[Array]) -> list[Array]:
             given = np.column_stack([array, *inputs]) if inputs else array
@@ -111,25 +111,27 @@ class CompiledTape:
             return list(found.T)
 
         def call(made: OracleCall, arguments: list[Array]) -> list[Array]:
-            where = points if made.is_direct else torch.from_numpy(np.column_stack(arguments))
+            where = torch.from_numpy(array if made.is_direct else np.column_stack(arguments))
             return list(_numpy(called(made.oracle, where), array.dtype).T)
 
-        return torch.from_numpy(run_stages(self.stages, compute, call))
+        return run_stages(self.stages, compute, call)
 
     def values_and_gradients(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Values `(...)` and gradients `(..., 3)`, by forward differentiation; no graph."""
-        flat = points.detach().reshape(-1, COORDINATES)
-        values = torch.empty(len(flat), dtype=points.dtype)
-        gradients = torch.empty(len(flat), COORDINATES, dtype=points.dtype)
+        flat = points.detach().numpy().reshape(-1, COORDINATES)
+        values = np.empty(len(flat), flat.dtype)
+        gradients = np.empty((len(flat), COORDINATES), flat.dtype)
         for start in range(0, len(flat), CHUNK):
-            found = self._slopes(flat[start : start + CHUNK].contiguous())
+            found = self._slopes(np.ascontiguousarray(flat[start : start + CHUNK]))
             values[start : start + CHUNK] = found[:, 0]
             gradients[start : start + CHUNK] = found[:, 1:]
-        return values.reshape(points.shape[:-1]), gradients.reshape(points.shape)
+        return (
+            torch.from_numpy(values.reshape(points.shape[:-1])),
+            torch.from_numpy(gradients.reshape(points.shape)),
+        )
 
-    def _slopes(self, points: Tensor) -> Tensor:
+    def _slopes(self, array: Array) -> Array:
         """`(n, 4)`: value and derivatives."""
-        array = points.numpy()
 
         def compute(index: int, inputs: list[Array]) -> list[Array]:
             given = np.empty((len(array), 4, len(inputs)), array.dtype)
@@ -161,7 +163,7 @@ class CompiledTape:
             results = np.concatenate([values[..., None], chained], axis=-1)
             return list(np.moveaxis(results, 1, 0))
 
-        return torch.from_numpy(run_stages(self.stages, compute, call))
+        return run_stages(self.stages, compute, call)
 
     def bounds(self, boxes: Boxes, dtype: np.dtype) -> NDArray[np.float64]:
         """`(n, 3)`: low, high and error on boxes `(n, 2, 3)`; see `fields.evaluators.intervals`."""

@@ -10,6 +10,7 @@ would leave holes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -19,8 +20,7 @@ from fields.lattice import sample_blocks
 from implicit_warp.extraction.cells import Cells, Found, crossed_cells_of_blocks
 from implicit_warp.extraction.cube import CORNERS
 from implicit_warp.extraction.samples import NUMPY, CornerSamples, Sampler
-from implicit_warp.extraction.sides import Places
-from implicit_warp.extraction.thin import doubtful_cells
+from implicit_warp.extraction.thin import lonely_cells
 
 BLOCK = 8
 """Cells along the side of the blocks that are sampled."""
@@ -60,20 +60,20 @@ def crossed_cells(sampler: Sampler, doubts: bool = False) -> Found:
         blocks = split(blocks, side, last)
     beyond = (blocks < 0).any(axis=1) | (blocks + BLOCK > last).any(axis=1)
     beyond &= sampler.walled
-    cells, crossed_blocks = _by_kernel(sampler, blocks[~beyond])
-    if beyond.any():
-        parts = [cells, _by_sampler(sampler, blocks[beyond])]
-        cells = Cells.joined(parts, NUMPY[sampler.dtype])
-    if not doubts:
-        return Found(cells, np.empty((0, 3), np.int64))
-    doubtful = doubtful_cells(sampler, crossed_blocks, BLOCK)
-    return Found(cells, doubtful[Places(cells.corners).of(doubtful) < 0])
+    found = _by_kernel(sampler, blocks[~beyond], doubts)
+    if not beyond.any():
+        return found
+    parts = [found.cells, _by_sampler(sampler, blocks[beyond])]
+    return Found(Cells.joined(parts, NUMPY[sampler.dtype]), found.doubtful)
 
 
-def _by_kernel(sampler: Sampler, blocks: NDArray[np.int64]) -> tuple[Cells, NDArray[np.int64]]:
-    """The crossed cells of blocks within the lattice, all by compiled code; and the blocks that
-    bounds left undecided."""
-    found, undecided, lattice = [], [], sampler.lattice
+def _by_kernel(sampler: Sampler, blocks: NDArray[np.int64], doubts: bool) -> Found:
+    """The crossed cells of blocks within the lattice, all by compiled code; and the doubtful ones,
+    without those beside them."""
+    found, doubtful, lattice = [], [np.empty((0, 3), np.int64)], sampler.lattice
+    lipschitz = np.inf if sampler.field.lipschitz is None else sampler.field.lipschitz
+    # The farthest corner of a cell from where the surface enters it is at most a diagonal away.
+    reach = math.sqrt(3.0) * lattice.voxel * lipschitz
     limits = np.stack([sampler.first_cell, sampler.last_cell])
     for block in np.array_split(blocks, max(1, -(-len(blocks) // _AT_ONCE))):
         sampled = sample_blocks(
@@ -89,8 +89,9 @@ def _by_kernel(sampler: Sampler, blocks: NDArray[np.int64]) -> tuple[Cells, NDAr
         sampler.took(values, _place_in(block))
         values = (values - NUMPY[sampler.dtype](sampler.level)).reshape(-1, *_OFFSETS.shape[:3])
         found.append(crossed_cells_of_blocks(block, values, limits))
-        undecided.append(block)
-    return Cells.joined(found, NUMPY[sampler.dtype]), np.concatenate(undecided)
+        if doubts:
+            doubtful.append(lonely_cells(block, values, limits, reach))
+    return Found(Cells.joined(found, NUMPY[sampler.dtype]), np.concatenate(doubtful))
 
 
 def _place_in(blocks: NDArray[np.int64]) -> Callable[[int], NDArray[np.int64]]:

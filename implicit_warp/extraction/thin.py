@@ -14,10 +14,11 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
+from fields.jit import parallel_kernel
 from fields.lattice import crossed_blocks
-from implicit_warp.extraction.cube import CORNERS
 from implicit_warp.extraction.samples import NUMPY, Sampler
 from implicit_warp.extraction.sides import Places
 
@@ -41,27 +42,87 @@ def thin_cells(
         left = np.flatnonzero(alone)
         alone[left] = places.of(doubtful[left] + np.array(offset)) < 0
     found = doubtful[alone]
-    return found if certain or not len(found) else found[_turned(sampler, found)]
+    if certain or not len(found):
+        return found
+    if not sampler.field.tape.calls_oracles:
+        found = found[_undecided(sampler, found)]
+    return found[_turned(sampler, found)]
 
 
-def doubtful_cells(sampler: Sampler, blocks: NDArray[np.int64], side: int) -> NDArray[np.int64]:
-    """(m, 3) cells, among those of blocks with a given side, that bounds leave undecided."""
+def lonely_cells(
+    block_corners: NDArray[np.int64],
+    values: NDArray[np.floating],
+    limits: NDArray[np.int64],
+    reach: float,
+) -> NDArray[np.int64]:
+    """(m, 3) uncrossed cells of sampled blocks without a crossed neighbour in their block.
+
+    Args:
+        block_corners: (n, 3) lattice index of each block's first point.
+        values: (n, m, m, m) samples minus level.
+        limits: (2, 3) first and last cell; cells outside are left out.
+        reach: the surface does not enter a cell with a corner whose value is farther from zero.
+    """
+    count = np.zeros(len(values), np.int64)
+    _find_lonely(block_corners, values, limits, reach, count, count, np.empty((0, 3), np.int64), 0)
+    first = np.concatenate([[0], np.cumsum(count)])
+    cells = np.empty((int(first[-1]), 3), np.int64)
+    _find_lonely(block_corners, values, limits, reach, count, first, cells, 1)
+    return cells
+
+
+@parallel_kernel
+def _find_lonely(block_corners, values, limits, reach, count, first, cells, fill):
+    """Count the lonely cells of every block, or fill them in."""
+    size = values.shape[1] - 1
+    zero = values.dtype.type(0.0)
+    for b in prange(len(values)):
+        block = values[b]
+        found = 0
+        for i in range(size):
+            for j in range(size):
+                for k in range(size):
+                    x = block_corners[b, 0] + i
+                    y = block_corners[b, 1] + j
+                    z = block_corners[b, 2] + k
+                    if x > limits[1, 0] or y > limits[1, 1] or z > limits[1, 2]:
+                        continue
+                    farthest = zero
+                    for c in range(8):
+                        at = block[i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)]
+                        farthest = max(farthest, abs(at))
+                    if farthest > reach:
+                        continue
+                    # The corners of all neighbours, as far as they are in the block.
+                    inside = block[i, j, k] < zero
+                    alike = True
+                    for p in range(max(i - 1, 0), min(i + 3, size + 1)):
+                        for q in range(max(j - 1, 0), min(j + 3, size + 1)):
+                            for r in range(max(k - 1, 0), min(k + 3, size + 1)):
+                                alike &= (block[p, q, r] < zero) == inside
+                    if not alike:
+                        continue
+                    if fill:
+                        cells[first[b] + found, 0] = x
+                        cells[first[b] + found, 1] = y
+                        cells[first[b] + found, 2] = z
+                    found += 1
+        if not fill:
+            count[b] = found
+
+
+def _undecided(sampler: Sampler, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(m,) whether bounds of the values leave open that the surface enters a cell."""
     lattice = sampler.lattice
-    while side > 1:
-        side //= 2
-        blocks = (blocks[:, None] + side * CORNERS).reshape(-1, 3)
-        blocks = blocks[(blocks <= sampler.last_cell).all(axis=1)]
-        undecided = crossed_blocks(
-            sampler.field,
-            lattice.origin,
-            lattice.voxel,
-            blocks,
-            side,
-            level=sampler.level,
-            dtype=NUMPY[sampler.dtype],
-        )
-        blocks = blocks[undecided]
-    return blocks
+    return crossed_blocks(
+        sampler.field,
+        lattice.origin,
+        lattice.voxel,
+        cells,
+        1,
+        level=sampler.level,
+        dtype=NUMPY[sampler.dtype],
+    )
 
 
 def _turned(sampler: Sampler, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
