@@ -30,6 +30,9 @@ _COARSEST = 8 * BLOCK
 _SIDE = 4 * BLOCK
 """Blocks of this size are left to the compiled sampling, which looks at their parts itself."""
 
+_STEEP = 2.0
+"""Slope with which thin parts are looked for, at most."""
+
 _AT_ONCE = 4096
 """Blocks that are sampled at a time: 3 million samples."""
 
@@ -71,9 +74,10 @@ def _by_kernel(sampler: Sampler, blocks: NDArray[np.int64], doubts: bool) -> Fou
     """The crossed cells of blocks within the lattice, all by compiled code; and the doubtful ones,
     without those beside them."""
     found, doubtful, lattice = [], [np.empty((0, 3), np.int64)], sampler.lattice
-    lipschitz = np.inf if sampler.field.lipschitz is None else sampler.field.lipschitz
+    lipschitz = _STEEP if sampler.field.lipschitz is None else sampler.field.lipschitz
     # The farthest corner of a cell from where the surface enters it is at most a diagonal away.
-    reach = math.sqrt(3.0) * lattice.voxel * lipschitz
+    # Fields are rarely as steep as they may be, so no more than `_STEEP` is looked for.
+    reach = math.sqrt(3.0) * lattice.voxel * min(lipschitz, _STEEP)
     limits = np.stack([sampler.first_cell, sampler.last_cell])
     for block in np.array_split(blocks, max(1, -(-len(blocks) // _AT_ONCE))):
         sampled = sample_blocks(

@@ -125,12 +125,17 @@ def sharp_segments(
     row, step, ends, across = row[chosen], step[chosen], ends[chosen], across[chosen]
     face = np.concatenate([FACE_AXIS[across][:, None], corners[rings.cells[row]]], axis=1)
     face[np.arange(len(face)), 1 + FACE_AXIS[across]] += FACE_SIDE[across]
-    names = np.concatenate([face, np.sort(ends, axis=1)], axis=1)
-    _, number, count = np.unique(names, axis=0, return_inverse=True, return_counts=True)
-    number = number.reshape(-1)
-    twice = count[number] == 2
-    renumbered = np.cumsum(count == 2) - 1
-    return Segments(row, step, ends, face, renumbered[number]).where(twice)
+    # A cell has one segment in a face at most, so that a face has two: those of its two cells.
+    low = face[:, 1:].min(axis=0, initial=0)
+    extent = face[:, 1:].max(axis=0, initial=0) - low + 1
+    key = 3 * np.ravel_multi_index((face[:, 1:] - low).T, extent) + face[:, 0]
+    order = np.argsort(key, kind="stable")
+    sorted_ends = np.sort(ends[order], axis=1)
+    alike = key[order][1:] == key[order][:-1]
+    first = np.flatnonzero(alike & (sorted_ends[1:] == sorted_ends[:-1]).all(axis=1))
+    pair = np.stack([order[first], order[first + 1]], axis=1).reshape(-1)
+    number = np.repeat(np.arange(len(first)), 2)
+    return Segments(row[pair], step[pair], ends[pair], face[pair], number)
 
 
 def piercing_points(
