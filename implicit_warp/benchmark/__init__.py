@@ -11,7 +11,7 @@ from functools import partial
 
 import numba
 
-from implicit_warp.benchmark import rows
+from implicit_warp.benchmark import field_rows, rows
 from implicit_warp.benchmark.report import Machine, Report, Row, load_average
 from implicit_warp.benchmark.settings import Settings
 from implicit_warp.progress import Update
@@ -24,7 +24,7 @@ def run_benchmark(settings: Settings | None = None, progress: Update | None = No
     """Measure everything.
 
     Args:
-        settings: the sizes; by default those of the goals, which take two to three minutes.
+        settings: the sizes; by default those of the goals, which take three to four minutes.
         progress: called with (parts done, parts in all, the next part's name).
 
     Raises:
@@ -43,6 +43,8 @@ def run_benchmark(settings: Settings | None = None, progress: Update | None = No
         "embedding solves": rows.solves,
         "large map": rows.large_map,
     }
+    if settings.device == "cpu":
+        parts |= {"fields": field_rows.evaluation, "extraction": field_rows.extractions}
     load, found = load_average(), {}
     try:
         set_threads(settings.threads)

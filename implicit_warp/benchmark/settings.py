@@ -26,6 +26,8 @@ class Settings:
         vertices: of the mesh of the fit step.
         samples: interior points an elastic step.
         elastic_steps, reference_elastic_steps: over which one step is averaged.
+        extraction_resolution, fine_resolution: voxels of the extractions.
+        searched_resolution: voxels of the reference's extraction of a warped field, scaled.
         solve_resolutions: of the embedding solves.
         largest_reference_solve: the dense reference solve runs up to this resolution.
         memory_points, reference_memory_points: of the call whose memory is measured.
@@ -46,6 +48,9 @@ class Settings:
     samples: int = 20_000
     elastic_steps: int = 25
     reference_elastic_steps: int = 25
+    extraction_resolution: int = 256
+    fine_resolution: int = 512
+    searched_resolution: int = 32
     solve_resolutions: tuple[int, ...] = (11, 25, 65)
     largest_reference_solve: int = 65
     memory_points: int = 10_000_000
@@ -79,6 +84,9 @@ class Settings:
             "reference_points": 20_000,
             "searched_points": 2_000,
             "reference_elastic_steps": 2,
+            "extraction_resolution": 64,
+            "fine_resolution": 96,
+            "searched_resolution": 16,
             "largest_reference_solve": 25,
             "reference_memory_points": 200_000,
             "rounds": 3,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class Bench(Common):
     """Measure the speed goals, each beside the torch reference in the same run.
 
-    Takes two to three minutes on two idle cores. Ratios count: absolute figures depend on the
+    Takes three to four minutes on two idle cores. Ratios count: absolute figures depend on the
     machine and its load, which is printed.
 
     Example: implicit-warp bench --json > bench.json

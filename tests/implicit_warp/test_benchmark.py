@@ -35,6 +35,9 @@ TINY = Settings(
     samples=64,
     elastic_steps=2,
     reference_elastic_steps=1,
+    extraction_resolution=48,
+    fine_resolution=50,
+    searched_resolution=8,
     solve_resolutions=(3, 4),
     largest_reference_solve=3,
     memory_points=5_000,
@@ -52,6 +55,14 @@ KEYS = [
     "elastic_step",
     "solve_3",
     "solve_4",
+    "field_evaluation",
+    "extract_canonical_scene_48",
+    "extract_canonical_scene_sharp_48",
+    "extract_twisted_plate_48",
+    "extract_twisted_plate_sharp_48",
+    "extract_warped_canonical_scene_48",
+    "extract_warped_canonical_scene_sharp_48",
+    "extract_warped_canonical_scene_50",
     "memory",
     "first_call",
     "import",
@@ -82,7 +93,11 @@ def test_goals_are_those_of_the_project(report):
     assert goals == {
         "map_float32": 30, "inverse_float32": 10, "jacobian_float32": 15,
         "inverse_jacobian_float32": 15, "fit_step": 5, "elastic_step": 12, "solve_3": None,
-        "solve_4": None, "memory": 50, "first_call": 1, "import": 0.3,
+        "solve_4": None, "memory": 50, "first_call": 1, "import": 0.3, "field_evaluation": 3,
+        "extract_canonical_scene_48": 0.6, "extract_canonical_scene_sharp_48": None,
+        "extract_twisted_plate_48": 1, "extract_twisted_plate_sharp_48": 1,
+        "extract_warped_canonical_scene_48": 1.5, "extract_warped_canonical_scene_sharp_48": 1.5,
+        "extract_warped_canonical_scene_50": 8,
     }  # fmt: skip
     for name in ("map", "inverse", "jacobian", "inverse_jacobian"):
         assert rows[f"{name}_float64"].goal == pytest.approx(0.5 * rows[f"{name}_float32"].value)
