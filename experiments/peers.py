@@ -3,8 +3,8 @@
     python -m experiments.peers -o out/
 
 Peers take part if they are installed: fogleman/sdf (`pip install sdf-fork`), scikit-image and
-Open3D, the last two on samples by our fast evaluator.  Each makes both scenes at the same voxel size, three times, in turns; the median of
-the times counts, and the mesh of the last is checked.
+Open3D, the last two on samples by our fast evaluator.  Each makes both scenes at the same voxel
+size, three times, in turns; the median of the times counts, and the mesh of the last is checked.
 """
 
 from __future__ import annotations

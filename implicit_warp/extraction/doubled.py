@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from fields.jit import kernel
 from implicit_warp.extraction.cells import Surface
 from implicit_warp.extraction.cube import EDGE_AXIS, EDGE_ENDS, EDGE_LOW, face_cycles
+from implicit_warp.extraction.names import Names
 from implicit_warp.extraction.piercing import Piercing
 from implicit_warp.extraction.placement import NEAREST
 from implicit_warp.extraction.rings import Rings
 from implicit_warp.extraction.samples import Sampler
-from implicit_warp.extraction.sides import Places
 
 _MOST_RINGS = 6
 """Rings of a cell: at least two crossings each, of twelve that four a face allow."""
@@ -128,19 +128,18 @@ class Traced(NamedTuple):
     Attributes:
         corners: (n + m, 3) all crossed cells, and those that only doubled edges cross.
         rings: of the cells around doubled edges.
-        doubled: the edges that are left.
     """
 
     corners: NDArray[np.int64]
     rings: Rings
-    doubled: Doubled
 
 
 def traced(
     surface: Surface,
     corners: NDArray[np.int64],
-    places: Places,
+    places: Names,
     doubled: Doubled,
+    number: NDArray[np.int64],
     normals: NDArray[np.float64],
     refused: NDArray[np.int64],
 ) -> Traced:
@@ -150,12 +149,12 @@ def traced(
         surface: of the crossed cells.
         corners: (n, 3) their low corners.
         places: of these.
-        doubled: the edges; their crossings are the vertices after those of the surface, in turn.
-        normals: (v + 2 d, 3) unit, at all crossings.
+        doubled: the edges.
+        number: (d,) that of the first crossing of each; the second has the next one.
+        normals: (p, 3) unit, at all crossings, by their numbers.
         refused: (r, 3) cells around which no edge may be doubled.
     """
-    number = len(surface.axes) + 2 * np.arange(len(doubled.low))
-    good = (Places(refused).of(doubled.cells().reshape(-1, 3)) < 0).reshape(-1, 4).all(axis=1)
+    good = (Names(refused).of(doubled.cells().reshape(-1, 3)) < 0).reshape(-1, 4).all(axis=1)
     while True:
         doubled, number = doubled.where(good), number[good]
         around = doubled.cells()
@@ -183,7 +182,7 @@ def traced(
         good = sound[row].all(axis=1)
         if good.all():
             rings = rings.where(rings.length > 0)
-            return Traced(np.concatenate([corners, cells[~known]]), rings, doubled)
+            return Traced(np.concatenate([corners, cells[~known]]), rings)
 
 
 def _edge_of(offset: NDArray[np.int64], axis: NDArray[np.int64]) -> NDArray[np.int64]:

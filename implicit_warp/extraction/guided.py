@@ -32,6 +32,10 @@ _MOST_STRETCH = 4.0
 """How much finer than the lattice the surface at rest is found, at most."""
 
 
+_ALL_OVER = 9
+"""Points along each side of a box at which a stretch is looked at."""
+
+
 def carried(field: Field) -> Origin | None:
     """What a field was carried from by a map that is no formula of it; None for all others."""
     origin = deformation.origin(field)
@@ -44,8 +48,12 @@ def resolution_at_rest(carried: Origin, voxel: float, surface: NDArray[np.float6
     Args:
         carried: the field.
         voxel: of the lattice for the carried field.
-        surface: (n, 3) points of the surface at rest, where the map's stretch is looked at.
+        surface: (n, 3) points of the surface at rest, where the map's stretch is looked at; if
+            there are none, a coarse look having missed it, that is done all over its bounds.
     """
+    if not len(surface):
+        axes = np.linspace(*np.asarray(carried.rest.bounds, np.float64), _ALL_OVER, axis=1)
+        surface = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     jacobians = carried.map.jacobian(torch.from_numpy(surface))
     stretch = float(torch.linalg.matrix_norm(jacobians, ord=2).max())
     side = float(np.ptp(carried.rest.bounds, axis=0).max())

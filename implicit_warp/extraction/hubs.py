@@ -39,7 +39,12 @@ class _Sides(NamedTuple):
     borders: NDArray[np.int64]
 
 
-def _sides(rings: Rings, points: NDArray[np.float64], normals: NDArray[np.float64]) -> _Sides:
+def _sides(
+    rings: Rings,
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    piercing: NDArray[np.bool_],
+) -> _Sides:
     """Arcs between piercing points, and between crossings with normals that differ where there is
     none; every crossing by itself on rings that cross less than two edges."""
     count = int(rings.length.sum())
@@ -47,7 +52,7 @@ def _sides(rings: Rings, points: NDArray[np.float64], normals: NDArray[np.float6
     ring, borders = np.empty(count, np.int64), np.zeros(len(rings.length), np.int64)
     cosine = math.cos(math.radians(ANGLE))
     found, arcs = _find_arcs(
-        rings.length, rings.points, normals, cosine, arc, ring, vertex, borders
+        rings.length, rings.points, normals, piercing, cosine, arc, ring, vertex, borders
     )
     arc, ring, vertex = arc[:found], ring[:found], vertex[:found]
     size = np.bincount(arc, minlength=arcs)
@@ -59,7 +64,7 @@ def _sides(rings: Rings, points: NDArray[np.float64], normals: NDArray[np.float6
 
 
 @kernel
-def _find_arcs(length, points, normals, cosine, arc, ring, vertex, borders):
+def _find_arcs(length, points, normals, piercing, cosine, arc, ring, vertex, borders):
     found, arcs = 0, 0
     splits = np.empty(64, np.bool_)
     for i in range(len(length)):
@@ -67,9 +72,9 @@ def _find_arcs(length, points, normals, cosine, arc, ring, vertex, borders):
         start = 0
         for j in range(n):  # is there an edge of the shape between this point and the one before?
             a, b = points[i, j - 1 if j else n - 1], points[i, j]
-            if a >= len(normals):
+            if piercing[a]:
                 splits[j] = False  # the piercing point itself was counted
-            elif b >= len(normals):
+            elif piercing[b]:
                 splits[j] = True
             else:
                 dot = 0.0
@@ -85,7 +90,7 @@ def _find_arcs(length, points, normals, cosine, arc, ring, vertex, borders):
             if open_ and (splits[at] or borders[i] < 2):
                 arcs += 1
                 open_ = False
-            if points[i, at] < len(normals):
+            if not piercing[points[i, at]]:
                 arc[found], ring[found], vertex[found] = arcs, i, points[i, at]
                 found += 1
                 open_ = True
@@ -97,6 +102,7 @@ def hubs_of(
     rings: Rings,
     points: NDArray[np.float64],
     normals: NDArray[np.float64],
+    piercing: NDArray[np.bool_],
     corners: NDArray[np.int64],
     may_leave: NDArray[np.bool_],
     sampler: Sampler,
@@ -108,21 +114,23 @@ def hubs_of(
     that mean, moved into the cell.
 
     Args:
-        rings: one a cell.
+        rings: c of them.
         points: (p, 3) crossings and piercing points.
-        normals: (v, 3) unit, at the crossings, which come first.
-        corners: (n, 3) low corners of all crossed cells.
-        may_leave: (n,) cells whose hub may lie outside, at a corner or a tip of the shape.
+        normals: (p, 3) unit, at the crossings.
+        piercing: (p,) which are no crossings but piercing points.
+        corners: (c, 3) low corner of the cell of each ring.
+        may_leave: (c,) whether the hub may lie outside, at a corner or a tip of the shape.
         sampler: of the field.
 
     Returns:
         (c, 3) points; (c,) whether each lies on an edge or corner of the shape; (c,) whether it has
         left its cell.
     """
-    sides = _sides(rings, points, normals)
-    low = corners[rings.cells].astype(np.float64)
-    piercing = rings.points >= len(normals)
-    chosen = np.where(piercing.any(axis=1, keepdims=True), piercing, rings.points >= 0)
+    sides = _sides(rings, points, normals, piercing)
+    low = corners.astype(np.float64)
+    used = rings.points >= 0
+    pierced = used & piercing[rings.points]
+    chosen = np.where(pierced.any(axis=1, keepdims=True), pierced, used)
     weights = chosen / chosen.sum(axis=1, keepdims=True)
     middle = within(np.einsum("cl,cli->ci", weights, points[rings.points]), low)
     hubs = middle
@@ -138,8 +146,8 @@ def hubs_of(
     outside = np.abs(hubs - low - 0.5).max(axis=1, initial=0.0) - 0.5
     near = outside < REACH
     hubs = np.where(near[:, None], within(hubs, low), hubs)
-    corner = (sides.borders > 2) | ~piercing.any(axis=1)
-    sound = (near | (corner & may_leave[rings.cells])) & on_surface(hubs, sampler)
+    corner = (sides.borders > 2) | ~pierced.any(axis=1)
+    sound = (near | (corner & may_leave)) & on_surface(hubs, sampler)
     middle[~sound] = _nearer_surface(middle[~sound], low[~sound], sampler)
     return np.where(sound[:, None], hubs, middle), sound, sound & ~near
 

@@ -31,18 +31,19 @@ from numpy.typing import NDArray
 
 from implicit_warp.checking.self_intersection import self_intersections
 from implicit_warp.extraction.cells import Surface
-from implicit_warp.extraction.doubled import Doubled, doubled_edges, traced
-from implicit_warp.extraction.hubs import hubs_of
-from implicit_warp.extraction.piercing import piercing_points, sharp_cells, sharp_segments
-from implicit_warp.extraction.rings import Rings, rings_of, with_points
+from implicit_warp.extraction.edges import EdgeFinder, Edges, HubFinder
+from implicit_warp.extraction.names import Names
+from implicit_warp.extraction.piercing import sharp_cells
+from implicit_warp.extraction.rings import Rings, rings_of
 from implicit_warp.extraction.samples import Sampler
-from implicit_warp.extraction.sides import Places, units
+from implicit_warp.extraction.sides import units
 
-_DOUBLINGS = 4
-"""How often more lattice edges are looked for that are crossed twice."""
+_ATTEMPTS = 12
+"""How often hubs and doubled edges that make faces intersect are withdrawn, before all are."""
 
-_ATTEMPTS = 4
-"""How often hubs that make faces intersect are withdrawn before all that have left are."""
+_PATIENCE = 1
+"""Attempts after which chains of doubled edges are withdrawn as a whole: a chain that lost a part
+can make faces intersect at its new ends, again and again."""
 
 
 class Sharpened(NamedTuple):
@@ -75,60 +76,78 @@ def sharpened(
     """
     normals = units(sampler.value_and_gradient(vertices)[1])
     sharp, tip = sharp_cells(surface, normals)
-    refused = np.empty((0, 3), np.int64)
+    finder = EdgeFinder(surface, corners, vertices, normals, np.flatnonzero(sharp), sampler)
+    hubs = HubFinder(finder, sampler)
+    refused = changed = wrong = np.empty((0, 3), np.int64)
+    before = np.empty(0, np.int64)
     for attempt in range(_ATTEMPTS):
         last = attempt == _ATTEMPTS - 1
-        found = _find_edges(
-            surface, corners, vertices, normals, np.flatnonzero(sharp), refused, last, sampler
-        )
-        may_leave = np.full(len(found.corners), not last) & (Places(refused).of(found.corners) < 0)
-        about = (found.points, found.normals, found.corners, may_leave, sampler)
-        hubs, exact, left = hubs_of(found.rings, *about)
+        edges = finder.edges(refused, no_doubling=last)
         blank = tip.copy()
-        blank[found.rings.cells[found.rings.cells < len(tip)]] = False
-        tips = rings_of(surface, np.flatnonzero(blank))
-        tip_hubs, tipped, tip_left = hubs_of(tips, *about)
-        rings = found.rings.joined(tips.where(tipped))
-        points = np.concatenate([found.points, hubs, tip_hubs[tipped]])
-        faces, cell_of = _with_fans(surface, rings, len(found.points))
-        unproved = _several(rings.cells)
-        unproved |= np.concatenate([left, tip_left[tipped]])
-        wrong = np.concatenate(
-            [
-                _intersecting_cells(
-                    sampler.lattice.origin + sampler.lattice.voxel * points,  # as they will be
-                    faces,
-                    cell_of,
-                    found.corners,
-                    np.unique(rings.cells[unproved]),
-                ),
-                _torn_cells(rings, len(vertices), found.first_piercing),
-            ]
+        blank[edges.rings.cells[edges.rings.cells < len(tip)]] = False
+        tips = Edges(edges.corners, rings_of(surface, np.flatnonzero(blank)))
+        of_edge = hubs.of(edges, _may_leave(edges, refused, last))
+        of_tip = hubs.of(tips, _may_leave(tips, refused, last))
+        tipped = hubs.on_edge[of_tip]
+        rings, hub = (
+            edges.rings.joined(tips.rings.where(tipped)),
+            np.append(of_edge, of_tip[tipped]),
         )
+        changed = hubs.corners[np.setxor1d(hub, before)]
+        before = hub
+        points = np.concatenate([finder.points, hubs.points[hub]])
+        fans = _Fans(surface, rings, len(finder.points))
+        if attempt:
+            suspect = np.concatenate([changed, wrong])
+        else:
+            suspect = edges.corners[rings.cells[_several(rings.cells) | hubs.left[hub]]]
+        found = [
+            _intersecting_cells(
+                sampler.lattice.origin + sampler.lattice.voxel * points,  # as they will be
+                fans,
+                edges.corners,
+                suspect,
+            ),
+            _torn_cells(rings, finder.doubled),
+        ]
+        wrong = edges.corners[np.concatenate(found)]
         if not len(wrong):
             break
-        refused = np.concatenate([refused, found.corners[wrong]])
-    on_edge = np.concatenate([exact, np.ones(int(tipped.sum()), np.bool_)])
-    piercing = np.arange(found.first_piercing, len(found.points))
-    return _without_unused(
-        points, faces, np.concatenate([piercing, len(found.points) + np.flatnonzero(on_edge)])
-    )
+        refused = np.concatenate([refused, wrong])
+        if attempt >= _PATIENCE:
+            refused = np.concatenate([refused, finder.chains(_neighbourhoods(wrong, 1))])
+    on_edge = np.append(finder.piercing, hubs.on_edge[hub])
+    return _without_unused(points, fans.of_cells(np.ones(len(edges.corners), np.bool_))[0], on_edge)
 
 
-def _torn_cells(rings: Rings, first: int, end: int) -> NDArray[np.int64]:
+def _may_leave(edges: Edges, refused: NDArray[np.int64], last: bool) -> NDArray[np.bool_]:
+    """(c,) the rings whose hubs may lie outside of their cells."""
+    return (Names(refused).of(edges.corners[edges.rings.cells]) < 0) & (not last)
+
+
+def _neighbourhoods(cells: NDArray[np.int64], reach: int) -> NDArray[np.int64]:
+    """(m, 3) the cells at most `reach` cells away from some (n, 3), some more than once."""
+    steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 3, indexing="ij"), axis=-1)
+    return (cells[:, None] + steps.reshape(-1, 3)).reshape(-1, 3)
+
+
+def _torn_cells(rings: Rings, doubled: NDArray[np.int64]) -> NDArray[np.int64]:
     """Cells around doubled lattice edges whose crossings follow each other in more than two rings.
 
     The two are then joined on more than one face, by an edge that more than two faces of the mesh
     share.
+
+    Args:
+        rings: of the cells.
+        doubled: (p,) the number of the doubled edge that a point is a crossing of, else -1.
     """
     place = np.arange(rings.points.shape[1])
     row, step = np.nonzero(place < rings.length[:, None])
     a = rings.points[row, step]
     b = rings.points[row, (step + 1) % rings.length[row]]
-    joined = (a >= first) & (a < end) & (b >= first) & (b < end) & (a != b)
-    edge = (a - first) // 2
-    joined &= edge == (b - first) // 2
-    times = np.bincount(edge[joined], minlength=(end - first) // 2)
+    edge = doubled[a]
+    joined = (edge >= 0) & (edge == doubled[b]) & (a != b)
+    times = np.bincount(edge[joined], minlength=1)
     return np.unique(rings.cells[row[joined][times[edge[joined]] > 2]])
 
 
@@ -139,109 +158,59 @@ def _several(cells: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _without_unused(
-    points: NDArray[np.float64], faces: NDArray[np.int64], on_edges: NDArray[np.int64]
+    points: NDArray[np.float64], faces: NDArray[np.int64], on_edges: NDArray[np.bool_]
 ) -> Sharpened:
-    """Crossings of doubled edges that were dropped again are no vertices."""
+    """Points of rings that were withdrawn again are no vertices."""
     used = np.zeros(len(points), np.bool_)
     used[faces] = True
     number = np.cumsum(used) - 1
-    return Sharpened(points[used], number[faces], number[on_edges[used[on_edges]]])
+    return Sharpened(points[used], number[faces], number[on_edges & used])
 
 
-class _Edges(NamedTuple):
-    """Rings of cells with all points on edges of the shape.
+class _Fans:
+    """Faces: fans over the rings from their hubs, and those of all cells without rings."""
 
-    Attributes:
-        corners: (n + m, 3) the crossed cells, and those that only doubled lattice edges cross.
-        points: (p, 3) crossings, of doubled edges too, then piercing points.
-        normals: (c, 3) unit, at the crossings.
-        rings: of the cells at edges.
-        first_piercing: the first point that is no crossing.
-    """
+    def __init__(self, surface: Surface, rings: Rings, first_hub: int) -> None:
+        self._surface, self._rings, self._first_hub = surface, rings, first_hub
+        self._plain = np.ones(len(surface.patterns), np.bool_)
+        self._plain[rings.cells[rings.cells < len(self._plain)]] = False
 
-    corners: NDArray[np.int64]
-    points: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    rings: Rings
-    first_piercing: int
-
-
-def _find_edges(
-    surface: Surface,
-    corners: NDArray[np.int64],
-    vertices: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    cells: NDArray[np.int64],
-    refused: NDArray[np.int64],
-    no_doubling: bool,
-    sampler: Sampler,
-) -> _Edges:
-    """Look for piercing points, and for doubled lattice edges until no more turn up."""
-    places, plain = Places(corners), rings_of(surface, cells)
-    doubled, rings, everywhere = Doubled.none(), plain, corners
-    points, at_points = vertices, normals
-    for attempt in range(_DOUBLINGS + 1):
-        segments = sharp_segments(rings, everywhere, at_points)
-        piercing = piercing_points(segments, points, at_points, sampler)
-        if no_doubling or attempt == _DOUBLINGS:
-            break
-        more = doubled.joined(doubled_edges(piercing, sampler))
-        crossings = more.crossings()
-        slopes = units(sampler.value_and_gradient(crossings)[1])
-        at_all = np.concatenate([normals, slopes])
-        trace = traced(surface, corners, places, more, at_all, refused)
-        if len(trace.doubled.low) == len(doubled.low):
-            break
-        everywhere, around, doubled = trace
-        points, at_points = np.concatenate([vertices, crossings]), at_all
-        rings = plain.where(~np.isin(plain.cells, around.cells)).joined(around)
-    kept = segments.where(piercing.found[segments.number])
-    number = len(points) + np.cumsum(piercing.found) - 1
-    rings = with_points(rings, kept.row, kept.step, number[kept.number])
-    return _Edges(
-        everywhere,
-        np.concatenate([points, piercing.points[piercing.found]]),
-        at_points,
-        rings,
-        len(points),
-    )
-
-
-def _with_fans(
-    surface: Surface, rings: Rings, first_hub: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The faces of all other cells, fans over the loops from their hubs; and the cell of each."""
-    plain = np.ones(len(surface.patterns), np.bool_)
-    plain[rings.cells[rings.cells < len(plain)]] = False
-    cell_of = np.repeat(np.arange(len(plain)), np.diff(surface.first_face))
-    kept = plain[cell_of]
-    place = np.arange(rings.points.shape[1])
-    loop, step = np.nonzero(place < rings.length[:, None])
-    onward = (step + 1) % rings.length[loop]
-    fans = np.stack(
-        [first_hub + loop, rings.points[loop, step], rings.points[loop, onward]], axis=1
-    )
-    return (
-        np.concatenate([surface.faces[kept], fans]),
-        np.concatenate([cell_of[kept], rings.cells[loop]]),
-    )
+    def of_cells(self, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(f, 3) the faces of the chosen cells, and (f,) the cell of each."""
+        plain = np.flatnonzero(self._plain & chosen[: len(self._plain)])
+        first = self._surface.first_face
+        count = first[plain + 1] - first[plain]
+        kept = np.arange(int(count.sum())) + np.repeat(
+            first[plain] - np.cumsum(count) + count, count
+        )
+        rows = np.flatnonzero(chosen[self._rings.cells])
+        rings = self._rings.where(rows)
+        place = np.arange(rings.points.shape[1])
+        loop, step = np.nonzero(place < rings.length[:, None])
+        onward = (step + 1) % rings.length[loop]
+        corners = [
+            self._first_hub + rows[loop],
+            rings.points[loop, step],
+            rings.points[loop, onward],
+        ]
+        return (
+            np.concatenate([self._surface.faces[kept], np.stack(corners, axis=1)]),
+            np.concatenate([np.repeat(plain, count), rings.cells[loop]]),
+        )
 
 
 def _intersecting_cells(
     vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    cell_of: NDArray[np.int64],
+    fans: _Fans,
     corners: NDArray[np.int64],
-    roaming: NDArray[np.int64],
+    around: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Cells that have a part in an intersection, among those around cells with points outside."""
+    """Cells that have a part in an intersection, near to cells with low corners (r, 3)."""
+    if not len(around):
+        return np.empty(0, np.int64)
     # A hub goes at most one cell far, so its faces meet those of cells up to two cells away.
-    if not len(roaming):
-        return roaming
-    around = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    reached = Places((corners[roaming][:, None] + around).reshape(-1, 3))
-    suspect = (reached.of(corners) >= 0)[cell_of]
-    tested = faces[suspect]
-    used, compact = np.unique(tested, return_inverse=True)
+    reached = Names(_neighbourhoods(np.unique(around, axis=0), 2))
+    faces, cell_of = fans.of_cells(reached.of(corners) >= 0)
+    used, compact = np.unique(faces, return_inverse=True)
     found = self_intersections(vertices[used], compact.reshape(-1, 3))
-    return np.unique(cell_of[suspect][found.pairs])
+    return np.unique(cell_of[found.pairs])

@@ -26,28 +26,6 @@ _NEARER = 0.15
 """How far from a point towards a side that side's values are looked at, of the way."""
 
 
-class Places:
-    """Where in a list of cells a cell is."""
-
-    def __init__(self, corners: NDArray[np.int64]) -> None:
-        self._low = corners.min(axis=0, initial=0) - 3
-        self._extent = corners.max(axis=0, initial=0) - self._low + 4
-        keys = self._key(corners)
-        self._order = np.argsort(keys, kind="stable")
-        self._keys = keys[self._order]
-
-    def _key(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
-        return np.ravel_multi_index((cells - self._low).T, self._extent)
-
-    def of(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(n,) the place of each of the cells (n, 3); -1 if it is not in the list."""
-        if not len(self._keys):
-            return np.full(len(cells), -1)
-        keys = self._key(np.clip(cells, self._low, self._low + self._extent - 1))
-        found = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        return np.where(self._keys[found] == keys, self._order[found], -1)
-
-
 def within(
     points: NDArray[np.float64], low: NDArray[np.floating], margin: float = MARGIN
 ) -> NDArray[np.float64]:

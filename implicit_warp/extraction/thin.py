@@ -6,11 +6,14 @@ into at finer points.  Where an edge of the shape comes out between lattice poin
 a crossed cell beside it; a cell without one holds a thin part.
 
 Guarantee: what is reported is there: a point of the other sign has been seen, or a point of the
-carried surface.  Non-guarantee: a part can be thinner than the finer points are apart, too.
+carried surface.  Non-guarantees: a part can be thinner than the finer points are apart, too; and
+cells are passed over that the surface enters only if the field is steeper in them than at their
+corners and middle.
 """
 
 from __future__ import annotations
 
+import math
 from itertools import product
 
 import numpy as np
@@ -18,12 +21,20 @@ from numba import prange
 from numpy.typing import NDArray
 
 from fields.jit import parallel_kernel
-from fields.lattice import crossed_blocks
+from fields.lattice import sample_blocks
+from implicit_warp.extraction.cube import CORNERS
+from implicit_warp.extraction.names import Names
 from implicit_warp.extraction.samples import NUMPY, Sampler
-from implicit_warp.extraction.sides import Places
 
 FINER = 4
 """Points along a cell's edge that are looked at, in place of one."""
+
+_CLOSE = 1.25 * math.sqrt(0.75)
+"""Voxels from a cell's middle to the surface, as the steepness tells, up to which the cell is
+looked into: half a diagonal and some more."""
+
+_AT_ONCE = 1 << 14
+"""Cells looked into at a time, with 125 values each."""
 
 
 def thin_cells(
@@ -37,15 +48,14 @@ def thin_cells(
         doubtful: (m, 3) cells that the surface may enter.
         certain: is it known to enter the doubtful ones?
     """
-    places, alone = Places(crossed), np.ones(len(doubtful), np.bool_)
+    places, alone = Names(crossed), np.ones(len(doubtful), np.bool_)
     for offset in product((0, -1, 1), repeat=3):
         left = np.flatnonzero(alone)
         alone[left] = places.of(doubtful[left] + np.array(offset)) < 0
     found = doubtful[alone]
     if certain or not len(found):
         return found
-    if not sampler.field.tape.calls_oracles:
-        found = found[_undecided(sampler, found)]
+    found = found[_close(sampler, found)]
     return found[_turned(sampler, found)]
 
 
@@ -111,29 +121,46 @@ def _find_lonely(block_corners, values, limits, reach, count, first, cells, fill
             count[b] = found
 
 
-def _undecided(sampler: Sampler, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(m,) whether bounds of the values leave open that the surface enters a cell."""
-    lattice = sampler.lattice
-    return crossed_blocks(
-        sampler.field,
-        lattice.origin,
-        lattice.voxel,
-        cells,
-        1,
-        level=sampler.level,
-        dtype=NUMPY[sampler.dtype],
-    )
+def _close(sampler: Sampler, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(m,) whether the surface is near enough to enter a cell, by how steep the field is there."""
+    places = np.concatenate([[[0.5] * 3], CORNERS])
+    result = np.empty(len(cells), np.bool_)
+    at_once = max(1, sampler.batch // len(places))
+    for start in range(0, len(cells), at_once):
+        part = cells[start : start + at_once]
+        value, slope = sampler.value_and_gradient((part[:, None] + places).reshape(-1, 3))
+        steepness = np.linalg.norm(slope, axis=1).reshape(len(part), -1).max(axis=1)
+        middle = np.abs(value.reshape(len(part), -1)[:, 0])
+        result[start : start + at_once] = middle <= _CLOSE * steepness
+    return result
 
 
 def _turned(sampler: Sampler, cells: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(m,) whether a finer point in a cell is of another sign than its low corner."""
-    axes = [np.linspace(0.0, 1.0, FINER + 1)] * 3
-    finer = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    result = np.empty(len(cells), np.bool_)
-    at_once = max(1, sampler.batch // len(finer))
+    lattice, oracles = sampler.lattice, sampler.field.tape.calls_oracles
+    result = np.zeros(len(cells), np.bool_)
+    finer = np.stack(np.meshgrid(*[np.arange(FINER + 1) / FINER] * 3, indexing="ij"), axis=-1)
+    finer = finer.reshape(-1, 3)
+    at_once = max(1, sampler.batch // len(finer)) if oracles else _AT_ONCE
     for start in range(0, len(cells), at_once):
         part = cells[start : start + at_once]
-        inside = sampler.value_at((part[:, None] + finer).reshape(-1, 3)) < 0
-        inside = inside.reshape(len(part), -1)
-        result[start : start + at_once] = (inside != inside[:, :1]).any(axis=1)
+        looked_at = np.arange(start, start + len(part))
+        if oracles:
+            values = sampler.value_at((part[:, None] + finer).reshape(-1, 3))
+        else:
+            sampled = sample_blocks(
+                sampler.field,
+                lattice.origin,
+                lattice.voxel / FINER,
+                FINER * part,
+                FINER,
+                level=sampler.level,
+                dtype=NUMPY[sampler.dtype],
+            )
+            looked_at, part = looked_at[sampled.crossed], part[sampled.crossed]
+            values = sampled.values[sampled.crossed]
+            sampler.took(values, lambda i: part[i // len(finer)] + finer[i % len(finer)])  # noqa: B023
+            values = values - NUMPY[sampler.dtype](sampler.level)
+        inside = values.reshape(-1, len(finer)) < 0
+        result[looked_at] = (inside != inside[:, :1]).any(axis=1)
     return result

@@ -17,6 +17,7 @@ from implicit_warp.errors import InputError
 from implicit_warp.extraction import NEAREST
 from implicit_warp.extraction import guided as guided_search
 from implicit_warp.extraction.lattice import lattice_for
+from implicit_warp.extraction.meshing import _COARSE
 from implicit_warp.extraction.placement import PRECISION
 from tests.implicit_warp.dense_marching_cubes import crossed_edges, dense_crossings
 
@@ -195,3 +196,14 @@ def test_vertices_lie_on_the_surface_of_a_field_that_is_no_distance():
     off = [np.abs(np.linalg.norm(m.vertices, axis=1) - 1).max() / voxel for m in (plain, polished)]
     assert off[0] > 0.1
     assert off[1] < NEAREST + PRECISION
+
+
+def test_a_carried_field_that_a_coarse_look_misses_is_still_found():
+    """Two balls far apart: at rest, each lies between the points of the coarse lattice."""
+    ball = sdf.sphere(0.015)
+    balls = ball.translate((-1, 0.013, 0.017)) | ball.translate((1, 0.01, 0))
+    with pytest.raises(InputError, match="no surface"):
+        extract(balls, _COARSE, thin="ignore")
+    mesh = iw.extract(iw.deform(balls, random_warp(1, 0.1)), 400, search="guided")
+    assert mesh.is_watertight
+    assert mesh.body_count == 2

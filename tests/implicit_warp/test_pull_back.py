@@ -95,11 +95,12 @@ PLATE = sdf.box((2, 0.2, 4)).twist(360)
 
 
 def test_the_plate_is_closed_and_skipping_blocks_by_its_bound_changes_nothing():
-    mesh = iw.extract(PLATE, 128)
+    # Not sharp: gradients, on which edges depend, are rounded otherwise in a field without formula.
+    mesh = iw.extract(PLATE, 128, sharp=False)
     assert mesh.is_watertight
     assert mesh.euler_number == 2
     plain = sdf.from_function(PLATE.evaluate, bounds=PLATE.bounds)
-    np.testing.assert_array_equal(iw.extract(plain, 128).vertices, mesh.vertices)
+    np.testing.assert_array_equal(iw.extract(plain, 128, sharp=False).vertices, mesh.vertices)
 
 
 @pytest.mark.slow
