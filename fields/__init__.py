@@ -158,6 +158,7 @@ twist = Field.twist
 taper = Field.taper
 shear = Field.shear
 bend = Field.bend
+bend_radial = Field.bend_radial
 coil = Field.coil
 extrude = Field.extrude
 extrude_to = Field.extrude_to
@@ -186,6 +187,7 @@ __all__ = [
     "behind",
     "below",
     "bend",
+    "bend_radial",
     "bezier_tube",
     "box",
     "box_frame",

@@ -1,8 +1,9 @@
-"""Twist, taper, shear and bend as operations on fields: a(f^-1(p)), written as expressions.
+"""Twist, taper, shear and bends as operations on fields: a(f^-1(p)), written as expressions.
 
-f is the map of the same name in `implicit_warp`, with the same parameters; it works in coordinates
-with z along an axis, and there the formulas below are. `implicit_warp.deform` uses these operations
-for those maps, so that a deformed CSG scene stays one expression.
+f is the map of the same name in `implicit_warp`, with the same parameters (a radial bend has none);
+it works in coordinates with z along an axis, and there the formulas below are.
+`implicit_warp.deform` uses these operations for those maps, so that a deformed CSG scene stays one
+expression.
 
 A pulled-back field is as steep as the field times the stretch of f^-1, which for a twist, a taper
 and a bend grows without bound. All that is wanted of the field far away is that it is positive, so
@@ -167,6 +168,48 @@ def _sheared(body: Body, slope: float, between: _Range) -> Body:
     stretch = 0.5 * (abs(slope) + math.hypot(slope, 2))
     lipschitz = None if tags.lipschitz is None else tags.lipschitz * stretch
     growth = None if tags.growth is None else tags.growth * (1 + abs(slope))
+    return Body(pulled, Tags(False, lipschitz, extent, growth))
+
+
+@rule
+def bend_radial(
+    body: Body,
+    height: float,
+    between: ArrayLike = (0.0, 1.0),
+    axis: str | ArrayLike = "z",
+    origin: ArrayLike = _ORIGIN,
+) -> Body:
+    """a(x, y, z - height * share(r)), r the distance from the axis: see `_dished`."""
+    rise = arguments.number("height", height)
+    acting = arguments.interval("between", between)
+    if acting[0] < 0:
+        raise InputError(
+            "between", between, "it starts below 0, and is a range of distances from the axis",
+            "pass (inner, outer) with 0 <= inner < outer",
+        )  # fmt: skip
+    about, place = arguments.direction("axis", axis), arguments.vector("origin", origin)
+    if rise == 0:
+        return body
+    return about_axis(body, about, place, lambda local: _dished(local, rise, acting))
+
+
+def _dished(body: Body, rise: float, between: tuple[float, float]) -> Body:
+    """Cylinders about z are slid along it; share(r) runs from 0 to 1 on the range.
+
+    Lipschitz: the Jacobian is [[1, 0], [s, 1]] in the plane of the axis and the point, where s is
+    rise / (outer - inner) on the range, as for a shear (`_sheared`, for the growth, too).
+    """
+    inner, outer = between
+    share = clamp((length(X, Y) - inner) / (outer - inner), 0.0, 1.0)
+    pulled = remap(body.expression, (X, Y, Z - rise * share))
+    tags, extent = body.tags, body.tags.extent.copy()
+    nearest = math.hypot(*np.clip(0.0, *extent[:, :2]))
+    slid = rise * np.interp([nearest, _reach(extent)], between, (0.0, 1.0))
+    extent[:, 2] += [slid.min(), slid.max()]
+    slope = abs(rise) / (outer - inner)
+    stretch = 0.5 * (slope + math.hypot(slope, 2))
+    lipschitz = None if tags.lipschitz is None else tags.lipschitz * stretch
+    growth = None if tags.growth is None else tags.growth * (1 + slope)
     return Body(pulled, Tags(False, lipschitz, extent, growth))
 
 

@@ -1,8 +1,8 @@
-"""Twist, taper, shear and bend.
+"""Twist, taper, shear and bends.
 
 The maps of the same names in `implicit_warp` have the same parameters, and `deform` by one of them
 gives the same field; as maps they also carry meshes and points. All are injective: a bend where it
-is defined, and it refuses other shapes.
+is defined, and it refuses other shapes. `bend_radial` is no map.
 """
 
 from __future__ import annotations
@@ -128,4 +128,29 @@ class Deformations(FieldBase):
             origin=origin,
             between=between,
             towards=towards,
+        )
+
+    def bend_radial(
+        self,
+        height: float,
+        between: ArrayLike = (0.0, 1.0),
+        axis: str | ArrayLike = "z",
+        origin: ArrayLike = _ORIGIN,
+    ) -> Self:
+        """Made a dish: slid along an axis by a distance that grows away from it. Not exact.
+
+        Args:
+            height: distance slid along the axis from the outer radius on.
+            between: (inner, outer), distances from the axis: within the inner one nothing moves,
+                from there to the outer one the distance slid grows linearly.
+            axis: "x", "y", "z", one of these with a minus sign, or a vector of any length.
+            origin: `(3,)`, a point of the axis.
+        """
+        return derived(
+            deformations.bend_radial,
+            (self,),
+            height=height,
+            between=between,
+            axis=axis,
+            origin=origin,
         )

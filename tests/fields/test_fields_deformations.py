@@ -63,6 +63,7 @@ def test_the_twisted_plate_has_the_right_bound():
 def test_nothing_to_do_gives_the_field_itself():
     assert BRICK.twist(0) is BRICK
     assert BRICK.shear(0) is BRICK
+    assert BRICK.bend_radial(0) is BRICK
 
 
 def test_a_taper_scales_sections(rng):
@@ -88,6 +89,18 @@ def test_a_shear_slides_sections(between, rng):
     expected = BRICK(points - 0.7 * along[:, None] * np.array([0, 1.0, 0]))
     np.testing.assert_allclose(field(points), expected, atol=1e-14)
     assert field.lipschitz == pytest.approx((0.7 + math.sqrt(0.49 + 4)) / 2)
+
+
+def test_a_radial_bend_slides_cylinders(rng):
+    field = BRICK.bend_radial(0.6, (0.2, 1.2), "z", (0.1, 0.2, 5.0))
+    points = rng.uniform(-3, 3, (2000, 3))
+    radius = np.hypot(points[:, 0] - 0.1, points[:, 1] - 0.2)
+    raised = np.interp(radius, [0.2, 1.2], [0, 0.6])
+    expected = BRICK(points - raised[:, None] * np.array([0, 0, 1.0]))
+    np.testing.assert_allclose(field(points), expected, atol=1e-14)
+    assert field.lipschitz == pytest.approx((0.6 + math.sqrt(0.36 + 4)) / 2)
+    with pytest.raises(InputError, match="distances from the axis"):
+        BRICK.bend_radial(0.6, (-0.2, 1.2))
 
 
 def test_an_unbounded_field_is_twisted_without_a_lipschitz_bound(rng):
