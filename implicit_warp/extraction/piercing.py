@@ -117,11 +117,11 @@ def sharp_segments(
     onward = (step + 1) % rings.length[row]
     ends = np.stack([rings.points[row, step], rings.points[row, onward]], axis=1)
     across = rings.faces[row, step]
-    _, at, passes = np.unique(
-        6 * rings.cells[row] + across, return_inverse=True, return_counts=True
-    )
+    cells, of_ring = np.unique(rings.cells, return_inverse=True)
+    face_of_cell = 6 * of_ring[row] + across
+    passes = np.bincount(face_of_cell, minlength=6 * len(cells))[face_of_cell]
     alike = np.einsum("si,si->s", *normals[ends.T])
-    chosen = (alike < math.cos(math.radians(ANGLE))) & (passes[at] == 1)
+    chosen = (alike < math.cos(math.radians(ANGLE))) & (passes == 1)
     row, step, ends, across = row[chosen], step[chosen], ends[chosen], across[chosen]
     face = np.concatenate([FACE_AXIS[across][:, None], corners[rings.cells[row]]], axis=1)
     face[np.arange(len(face)), 1 + FACE_AXIS[across]] += FACE_SIDE[across]

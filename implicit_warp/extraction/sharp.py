@@ -161,10 +161,18 @@ def _without_unused(
     points: NDArray[np.float64], faces: NDArray[np.int64], on_edges: NDArray[np.bool_]
 ) -> Sharpened:
     """Points of rings that were withdrawn again are no vertices."""
+    kept, faces, number = _compact(points, faces)
+    return Sharpened(kept, faces, number[on_edges & (number >= 0)])
+
+
+def _compact(
+    points: NDArray[np.float64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """The points that faces use, the faces by these, and the new numbers of all points or -1."""
     used = np.zeros(len(points), np.bool_)
     used[faces] = True
-    number = np.cumsum(used) - 1
-    return Sharpened(points[used], number[faces], number[on_edges & used])
+    number = np.where(used, np.cumsum(used) - 1, -1)
+    return points[used], number[faces], number
 
 
 class _Fans:
@@ -211,6 +219,5 @@ def _intersecting_cells(
     # A hub goes at most one cell far, so its faces meet those of cells up to two cells away.
     reached = Names(_neighbourhoods(np.unique(around, axis=0), 2))
     faces, cell_of = fans.of_cells(reached.of(corners) >= 0)
-    used, compact = np.unique(faces, return_inverse=True)
-    found = self_intersections(vertices[used], compact.reshape(-1, 3))
+    found = self_intersections(*_compact(vertices, faces)[:2])
     return np.unique(cell_of[found.pairs])
