@@ -23,9 +23,10 @@ in the least-squares sense, and the minimum found is a local one; the report say
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -41,7 +42,7 @@ from implicit_warp.handles import Handle
 from implicit_warp.layers import compose_affine, determinant_3x3, invert_affine
 from implicit_warp.options import Options
 from implicit_warp.progress import progress_bar
-from implicit_warp.sampling import Samples, sample_shape
+from implicit_warp.sampling import sample_shape
 from implicit_warp.threads import threads_for_steps
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
@@ -171,7 +172,18 @@ def elastic(
             nothing or contradict each other.
     """
     options = (options or ElasticOptions()).with_changes(changes)
-    shape = _as_field(shape)
+    with progress_bar("elastic", progress) as update, _stepping(options):
+        return ElasticSolve(shape, handles, options).run(update, callback)
+
+
+@contextlib.contextmanager
+def _stepping(options: ElasticOptions) -> Iterator[None]:
+    """Gradients, whatever mode the caller is in, and as many threads as steps can use."""
+    with torch.inference_mode(False), torch.enable_grad(), threads_for_steps(options.samples):
+        yield
+
+
+def _checked(handles: Any) -> list[Handle]:
     handles = [handles] if isinstance(handles, Handle) else list(handles)
     for handle in handles:
         if not isinstance(handle, Handle):
@@ -184,14 +196,7 @@ def elastic(
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError("handles", twice, "two handles have this name", "name them apart")
-    with (
-        # Whatever mode the caller is in, a solve needs gradients.
-        torch.inference_mode(False),
-        torch.enable_grad(),
-        progress_bar("elastic", progress) as update,
-        threads_for_steps(options.samples),
-    ):
-        return _Solver(shape, handles, options).run(update, callback)
+    return handles
 
 
 def _as_field(shape: Any) -> Field:
@@ -204,36 +209,56 @@ def _as_field(shape: Any) -> Field:
     raise InputError("shape", shape, "neither a field nor a mesh", "pass a fields.Field")
 
 
-class _Solver:
-    """One solve: samples, the unit domain, the net, and the loop."""
+class ElasticSolve:
+    """One solve: samples, the unit domain, the net, and the loop.
 
-    def __init__(self, shape: Field, handles: list[Handle], options: ElasticOptions) -> None:
+    `elastic` makes one and runs it. An editor keeps one and takes single steps (`advance`), while
+    the handles are dragged (`retarget`): the net then starts from where it is.
+
+    Args:
+        shape, handles, options: see `elastic`.
+
+    Raises:
+        InputError: see `elastic`.
+    """
+
+    def __init__(self, shape: Field, handles: Sequence[Handle], options: ElasticOptions) -> None:
         self.options = options
-        self.handles = handles
+        shape, handles = _as_field(shape), _checked(handles)
         pool = max(_POOL, options.samples)
-        samples = sample_shape(shape, handles, pool, options.handle_samples, options.seed)
+        self._samples = sample_shape(shape, handles, pool, options.handle_samples, options.seed)
         self.diagonal = float(torch.tensor(shape.bounds).diff(dim=0).norm())
-        self._set_domain(samples)
+        self._set_domain()
+        self.retarget(handles)
         self.net = TutteNet(
             options.layers, options.resolution, options.frames, options.boundary
         ).to(options.device)
         self.generator = torch.Generator().manual_seed(options.seed)
         self._break_symmetry()
         self._set_density(torch.full((len(self.pool),), 1.0 / len(self.pool)).double())
+        self._optimiser: torch.optim.Adam | None = None
 
-    def _set_domain(self, samples: Samples) -> None:
-        """Choose the unit domain and bring samples and targets to the device."""
-        device = self.options.device
-        targets = [h.motion(p) for h, p in zip(self.handles, samples.regions, strict=True)]
-        source, target = torch.cat(samples.regions), torch.cat(targets)
-        points = torch.cat([samples.interior, source])
+    def _set_domain(self) -> None:
+        """Choose the unit domain."""
+        points = torch.cat([self._samples.interior, *self._samples.regions])
         centre = 0.5 * (points.amin(0) + points.amax(0))
         radius = float((points - centre).norm(dim=-1).max())
         if radius == 0.0:
             raise InputError("shape", self.diagonal, "all of its points coincide", "give it a size")
         self.unit = _UNIT_RADIUS / radius
         scale = torch.eye(3, dtype=torch.float64) * self.unit
-        before = torch.cat([scale, -self.unit * centre[:, None]], -1)
+        self._into_unit = torch.cat([scale, -self.unit * centre[:, None]], -1)
+
+    def retarget(self, handles: Sequence[Handle]) -> None:
+        """Other motions and weights for the same regions; the net stays as it is.
+
+        Args:
+            handles: as many as before, in the same order.
+        """
+        samples, device, before = self._samples, self.options.device, self._into_unit
+        self.handles = list(handles)
+        targets = [h.motion(p) for h, p in zip(self.handles, samples.regions, strict=True)]
+        source, target = torch.cat(samples.regions), torch.cat(targets)
         common = best_affine_map(source, target, "rigid")
         after = compose_affine(common, invert_affine(before))
         self.before, self.after = before.to(device), after.to(device)
@@ -257,6 +282,24 @@ class _Solver:
             for h, n in zip(self.handles, sizes, strict=True)
         ]
         self.shares = torch.cat(shares).to(device)
+
+    def advance(self, steps: int, learning_rate: float) -> None:
+        """So many steps from where the net is, at one rate."""
+        with _stepping(self.options):
+            if self._optimiser is None:
+                self._optimiser = torch.optim.Adam(self.net.parameters(), fused=True)
+            for group in self._optimiser.param_groups:
+                group["lr"] = learning_rate
+            for _ in range(steps):
+                self._optimiser.zero_grad(set_to_none=True)
+                self._loss(self._draw()).backward()
+                self._optimiser.step()
+
+    @torch.no_grad()
+    def handle_error(self) -> float:
+        """Root-mean-square distance of the handles' points from their targets, user's units."""
+        image = evaluate.forward(self.net.stack(), self.sources)
+        return float((image - self.targets).double().square().sum(-1).mean().sqrt()) / self.unit
 
     def _break_symmetry(self) -> None:
         # At the identity all layers of one frame have the same gradient, and would move as one.
@@ -283,7 +326,7 @@ class _Solver:
                         best_loss = total
                         best_state = {k: v.clone() for k, v in self.net.state_dict().items()}
                     if callback is not None:
-                        callback(step, self._warp())
+                        callback(step, self.warp())
                     if _has_converged(history, options.tolerance):
                         status = "converged"
                         break
@@ -298,13 +341,14 @@ class _Solver:
             status = "interrupted"
         if best_state is not None:
             self.net.load_state_dict(best_state)
-        return self._warp(self._report(status, step, time.perf_counter() - start, history))
+        return self.warp(self._report(status, step, time.perf_counter() - start, history))
 
     def _rate(self, step: int) -> float:
         warm_up = min(1.0, (step + 1) / 20)
         return warm_up * max(0.5 * (1.0 + math.cos(math.pi * step / self.options.steps)), 1e-3)
 
-    def _warp(self, report: SolveReport | None = None) -> Warp:
+    def warp(self, report: SolveReport | None = None) -> Warp:
+        """The map that the net is now."""
         with torch.no_grad():
             parts = (self.net.embeddings(), self.net.frames(), self.before, self.after)
             return Warp(*(part.cpu() for part in parts), report=report)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
-from fields.jit import inlined, kernel
+from fields.jit import inlined, kernel, parallel_kernel
 
 
 class Names:
@@ -52,11 +53,11 @@ def _start(row):
     return np.int64((mixed * np.uint64(11400714819323198485)) >> np.uint64(17))
 
 
-@kernel
+@parallel_kernel
 def _find(rows, known, slots):
     mask = len(slots) - 1
     numbers = np.full(len(rows), -1)
-    for i in range(len(rows)):
+    for i in prange(len(rows)):
         at = _start(rows[i]) & mask
         while slots[at] >= 0:
             same = True

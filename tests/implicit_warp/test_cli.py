@@ -214,7 +214,7 @@ def test_targets_that_cannot_be_written_are_refused_before_the_solve(
 def test_interrupting_the_solve_leaves_the_warp_on_disk(part, monkeypatch):
     from implicit_warp import elastic_solve
 
-    review, calls = elastic_solve._Solver._review, []
+    review, calls = elastic_solve.ElasticSolve._review, []
 
     def interrupt(self):
         calls.append(1)
@@ -222,7 +222,7 @@ def test_interrupting_the_solve_leaves_the_warp_on_disk(part, monkeypatch):
             raise KeyboardInterrupt
         return review(self)
 
-    monkeypatch.setattr(elastic_solve._Solver, "_review", interrupt)
+    monkeypatch.setattr(elastic_solve.ElasticSolve, "_review", interrupt)
     arguments = ["deform", f"{part}/part.py", "--handles", f"{part}/part.toml"]
     arguments += ["-o", f"{part}/a.stl", "--warp", f"{part}/w.safetensors"]
     assert main(arguments) == 130
