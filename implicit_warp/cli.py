@@ -27,6 +27,7 @@ from implicit_warp.commands.fit import Fit
 from implicit_warp.commands.info import Info
 from implicit_warp.commands.learn_sdf import LearnSdf
 from implicit_warp.commands.slice import Slice
+from implicit_warp.commands.view import View
 from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
 
 COMMANDS = {
@@ -34,6 +35,7 @@ COMMANDS = {
     "fit": Fit,
     "extract": Extract,
     "slice": Slice,
+    "view": View,
     "apply": Apply,
     "check": Check,
     "learn-sdf": LearnSdf,

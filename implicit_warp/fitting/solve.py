@@ -44,21 +44,8 @@ _REVIEW = 25
 _WARM_UP = 20
 """Steps in which the learning rate rises, at the start and after a relapse."""
 
-_RELAPSE = 20.0
-"""A loss so many times the best one is a relapse: the best state is taken up again, at a lower
-learning rate.  One step too far in many layers at once can throw a fit back to where it takes
-hundreds of steps to return from."""
-
 _LOWER = 0.7
 """Factor on the learning rate after a relapse."""
-
-_BETAS = (0.9, 0.95)
-"""Adam's memory of gradients and of their squares.  The usual 0.999 remembers the steep first steps
-for as long as the fit takes, and lets a sudden slope take steps of many learning rates."""
-
-_BOUNDARY_RATE = 0.1
-"""Learning rate of the boundary's parameters against the weights': an increment moves every
-boundary vertex behind it, so that many small steps the same way add up to a turn of the square."""
 
 _NOISE = 0.01
 """Spread of the first parameters: at the identity all layers of one frame have the same gradient,
@@ -122,7 +109,10 @@ class _Fit:
     def __init__(self, problem: FitProblem, saved: Checkpoint | None) -> None:
         self.problem, self.options, self.saved = problem, problem.options, saved
         options = self.options
-        net = TutteNet(options.layers, options.resolution, options.frames, options.boundary)
+        net = TutteNet(
+            options.layers, options.resolution, options.frames, options.boundary,
+            init=options.init, seed=options.seed,
+        )  # fmt: skip
         generator = torch.Generator().manual_seed(options.seed)
         with torch.no_grad():
             for parameter in net.parameters():
@@ -138,11 +128,12 @@ class _Fit:
             saved.restore(self)
 
     def _new_optimiser(self) -> torch.optim.Adam:
+        slow = {"theta_boundary": self.options.boundary_rate}
         groups = [
-            {"params": [parameter], "rate": _BOUNDARY_RATE if name == "theta_boundary" else 1.0}
+            {"params": [parameter], "rate": slow.get(name, 1.0)}
             for name, parameter in self.net.named_parameters()
         ]
-        return torch.optim.Adam(groups, betas=_BETAS, fused=True)
+        return torch.optim.Adam(groups, betas=(0.9, self.options.memory), fused=True)
 
     def run(self, update, callback) -> Warp:
         """The loop; returns the best state found."""
@@ -174,7 +165,8 @@ class _Fit:
             group["lr"] = self._rate() * group["rate"]
         image = evaluate.forward(self.net.stack(), self.problem.source)
         errors, slope = self.problem.errors(image.detach())
-        if errors["total"] <= _RELAPSE * self.best[0]:
+        most = math.inf if self.options.relapse is None else self.options.relapse * self.best[0]
+        if errors["total"] <= most:
             self.optimiser.zero_grad(set_to_none=True)
             image.backward(slope)
             self.optimiser.step()
@@ -185,12 +177,14 @@ class _Fit:
         self.step += 1
 
     def _rate(self) -> float:
-        """The learning rate of the next step: a short rise, then a half cosine."""
+        """The learning rate of the next step: a short rise, then down a half cosine, if any."""
         options = self.options
         done = self.step / options.steps
         if options.seconds is not None:
             done = max(done, min(self.seconds / options.seconds, 1.0))
         fall = max(0.5 * (1.0 + math.cos(math.pi * done)), 1e-3)
+        if options.schedule == "constant":
+            fall = 1.0
         since = self.step - (self.relapses[-1] if self.relapses else 0)
         rise = min(1.0, (since + 1) / _WARM_UP)
         return options.learning_rate * _LOWER ** len(self.relapses) * rise * fall

@@ -216,6 +216,24 @@ def test_a_relapse_goes_back_to_the_best_state_more_slowly():
     assert iw.fit(SOURCE, TARGET, steps=50, **SMALL).report.relapses == []
 
 
+def test_the_parts_of_the_descent_can_be_changed_one_by_one():
+    def report(**options):
+        return iw.fit(SOURCE, SOURCE, steps=300, **SMALL, **options).report
+
+    usual = report()
+    never = report(relapse=None)
+    assert never.relapses == []
+    assert never.history[-1][2] > usual.history[-1][2]
+    # At a constant rate the last steps are as long as the first ones, and the loss stays up.
+    constant = report(schedule="constant", learning_rate=0.05)
+    falling = report(learning_rate=0.05)
+    assert constant.history[-1][2] > 10 * falling.history[-1][2]
+    # A random start is far from the identity, where all of these begin.
+    assert report(init="paper").history[0][2] > 1000 * usual.history[0][2]
+    for one in ({"memory": 0.999}, {"boundary_rate": 1.0}):
+        assert report(**one).history[1][2] != usual.history[1][2]
+
+
 EMPTY = trimesh.Trimesh(POINTS, np.empty((0, 3), dtype=int), process=False)
 FLIPPED = trimesh.Trimesh(TARGET.vertices, TARGET.faces[:, ::-1], process=False)
 FEWER = trimesh.Trimesh(TARGET.vertices, TARGET.faces[:-1], process=False)
@@ -267,6 +285,11 @@ def test_bad_shapes_are_named(arguments, message):
         ({"radius": 0}, "radius.*not a positive number"),
         ({"align": "best"}, "use one of none, rigid, affine"),
         ({"precision": "float16"}, "precision"),
+        ({"schedule": "linear"}, "use one of cosine, constant"),
+        ({"memory": 1.0}, "memory.*not below 1"),
+        ({"relapse": 0.5}, "relapse.*every step would be one"),
+        ({"boundary_rate": 0}, "boundary_rate.*not a positive number"),
+        ({"init": "zero"}, "no such initialisation"),
         ({"speed": 3}, "no such option.*learning_rate"),
         ({"device": "abacus"}, "device"),
         ({"checkpoint": "state.pt"}, "safetensors"),
