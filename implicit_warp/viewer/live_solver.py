@@ -28,8 +28,12 @@ from implicit_warp.warp import Warp
 LIVE = {"samples": 768, "handle_samples": 128}
 """Options of the steps during a drag, in place of the full solve's."""
 
-RATE = 0.04
-"""Their learning rate."""
+RATE, FALL, LEAST = 0.04, 0.93, 0.05
+"""Their learning rate after an event, by what factor it falls with every update after that, and the
+least share of it: while nothing moves, the shape comes to rest."""
+
+WARM_UP = 20
+"""Steps over which the rate rises at first: Adam's first steps are as long as its rate."""
 
 STEPS = 5
 """Steps between two updates of the page."""
@@ -48,7 +52,7 @@ class Update:
         handle_error: root mean square, in the user's units.
         final: is it the result of the full solve?
         running: is more to come?
-        latency: seconds since the event that asked for it.
+        latency: seconds since the event of a drag, in the first update after it; else nan.
         text: of the progress, or of the result.
     """
 
@@ -66,6 +70,7 @@ class _Request:
     handles: tuple[Handle, ...]
     full: bool
     time: float
+    rounds: int = ROUNDS
 
 
 class _SupersededError(Exception):
@@ -92,12 +97,12 @@ class LiveSolver:
         options: ElasticOptions | None = None,
     ) -> None:
         self.options = options or ElasticOptions()
-        self.latencies: list[float] = []
         self._on_update, self._on_error = on_update, on_error
         self._changed = threading.Condition()
         self._request: _Request | None = None
         self._closed = self._busy = False
         self._live: tuple[Any, ElasticSolve] | None = None
+        self._steps = 0
         self.set_shape(field, vertices)
         self._thread = threading.Thread(target=self._run, name="solver", daemon=True)
         self._thread.start()
@@ -112,6 +117,10 @@ class LiveSolver:
     def follow(self, handles: Sequence[Handle]) -> None:
         """Go on towards these, step by step; returns at once."""
         self._ask(_Request(tuple(handles), False, time.perf_counter()))
+
+    def prepare(self, handles: Sequence[Handle]) -> None:
+        """Make ready to follow these, so that the first event finds all samples drawn."""
+        self._ask(_Request(tuple(handles), False, time.perf_counter(), rounds=0))
 
     def solve(self, handles: Sequence[Handle]) -> None:
         """Solve in full for these; returns at once."""
@@ -175,12 +184,13 @@ class LiveSolver:
 
     def _follow(self, request: _Request) -> None:
         solve = self._stepped(request)
-        for round_ in range(ROUNDS):
-            solve.advance(STEPS, RATE)
-            if round_ == 0:
-                self.latencies.append(time.perf_counter() - request.time)
-            last = round_ == ROUNDS - 1
-            self._show(request, solve.warp(), solve.handle_error(), not last, "following")
+        for round_ in range(request.rounds):
+            warm = min(1.0, (self._steps + STEPS) / WARM_UP)
+            solve.advance(STEPS, RATE * warm * max(FALL**round_, LEAST))
+            self._steps += STEPS
+            last = round_ == request.rounds - 1
+            latency = float("nan") if round_ else time.perf_counter() - request.time
+            self._show(solve.warp(), solve.handle_error(), not last, "following", latency)
             if not self._current(request):
                 return
 
@@ -192,7 +202,7 @@ class LiveSolver:
             return self._live[1]
         options = self.options.with_changes(LIVE)
         solve = ElasticSolve(self._field, request.handles, options)
-        self._live = (regions, solve)
+        self._live, self._steps = (regions, solve), 0
         return solve
 
     def _solve(self, request: _Request) -> None:
@@ -200,17 +210,24 @@ class LiveSolver:
             if not self._current(request):
                 raise _SupersededError
             text = f"step {step} of {self.options.steps}"
-            self._show(request, warp, float("nan"), True, text)
+            self._show(warp, float("nan"), True, text)
 
         warp = elastic(
             self._field, request.handles, options=self.options, progress=False, callback=report
         )
         text = f"{warp.report.status} after {warp.report.steps} steps, {warp.report.seconds:.1f} s"
-        self._show(request, warp, warp.report.handle_error, False, text, final=True)
+        self._show(warp, warp.report.handle_error, False, text, final=True)
 
-    def _show(self, request, warp, handle_error, running, text, final=False) -> None:
+    def _show(
+        self,
+        warp: Warp,
+        handle_error: float,
+        running: bool,
+        text: str,
+        latency: float = float("nan"),
+        final: bool = False,
+    ) -> None:
         vertices = warp(self._vertices)
-        latency = time.perf_counter() - request.time
         self._on_update(Update(vertices, warp, handle_error, final, running, latency, text))
 
 

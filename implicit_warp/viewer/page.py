@@ -5,6 +5,7 @@ All tabs share one set of controls, which viser keeps in step, and one session.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -96,7 +97,8 @@ class Editor:
         self._frames: deque[float] = deque(maxlen=20)
         self._closed = threading.Event()
 
-        self.server = viser.ViserServer(host=host, port=port, verbose=False, label="implicit_warp")
+        with contextlib.redirect_stdout(None):  # it prints a banner
+            self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.url = f"http://{host}:{self.server.get_port()}"
         bounds = np.asarray(self.source.field.bounds)
         self.size = float(np.linalg.norm(bounds[1] - bounds[0]))
@@ -137,7 +139,8 @@ class Editor:
         self.solver.close()
         if not crashed:
             self.autosave.forget()
-        self.server.stop()
+        with contextlib.redirect_stdout(None):
+            self.server.stop()
 
     def _watch(self) -> None:
         saved = time.monotonic()
@@ -236,7 +239,7 @@ class Editor:
         if update.final:
             self.final = update
         self.shown.move(update.vertices)
-        if not update.final and update.running:
+        if np.isfinite(update.latency):
             self.drags.append(update.latency)
         now = time.monotonic()
         self._frames.append(now)
@@ -387,7 +390,7 @@ class Editor:
 
         state = self.session.change(change)
         if any(not h.held for h in state.handles):
-            self.solver.follow(solve_handles(state))  # so that the first drag finds it ready
+            self.solver.prepare(solve_handles(state))
 
     def _activate(self, event: Any) -> None:
         name = event.target.value

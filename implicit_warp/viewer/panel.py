@@ -53,11 +53,15 @@ class Panel:
             self.hold = gui.add_button("Hold what is picked", hint="It stays where it is")
             self.move = gui.add_button("Move what is picked", hint="It gets a gizmo to drag")
             self.handle = gui.add_dropdown("Handle", (NO_HANDLE,))
-            self.name = gui.add_text("Name", "", visible=False)
-            self.weight = gui.add_slider(
-                "Weight", min=0.1, max=10.0, step=0.1, initial_value=1.0, visible=False
+            self._about = gui.add_folder(
+                "About this handle", expand_by_default=False, visible=False
             )
-            self.visible = gui.add_checkbox("Coloured", True, visible=False)
+            with self._about:
+                self.name = gui.add_text("Name", "")
+                self.weight = gui.add_slider(
+                    "Weight", min=0.1, max=10.0, step=0.1, initial_value=1.0
+                )
+                self.visible = gui.add_checkbox("Coloured", True)
             self.kind = gui.add_button_group("Make it", ("Hold", "Move", "Delete"), visible=False)
         with gui.add_folder("3  Drag"):
             self.translate = gui.add_checkbox("Arrows", True)
@@ -119,7 +123,7 @@ class Panel:
         if tuple(self.handle.options) != names:
             self.handle.options = names
         active = next((h for h in state.handles if h.name == state.active), None)
-        for control in (self.name, self.weight, self.visible, self.kind):
+        for control in (self._about, self.kind):
             control.visible = active is not None
         if active is None:
             return
@@ -133,7 +137,7 @@ class Panel:
 
     def show_numbers(self, text: str, running: bool = False) -> None:
         """The line of figures at the top."""
-        self._numbers.content = f"{'⏳ ' if running else ''}*{text}*"
+        self._numbers.content = f"**{text} ...**" if running else f"*{text}*"
 
     def show_scale(self, low: float | None, high: float | None) -> None:
         """What the ends of the colour scale mean; None for no scale."""

@@ -28,12 +28,15 @@ PLAIN, COLOURS = "Handles", ("Handles", *QUANTITY)
 
 
 def fit_camera(server: viser.ViserServer, bounds: NDArray[np.float64]) -> None:
-    """Where every tab's camera starts: all of the shape, a little from above."""
+    """Where every tab's camera starts: all of the shape, from above, to the left of the panel."""
     low, high = bounds
     centre, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    way = np.array([0.42, -0.8, 0.43])
+    right = np.cross(-way, [0.0, 0.0, 1.0])
+    aim = centre + 0.16 * size * right / np.linalg.norm(right)
     server.initial_camera.fov = np.radians(40.0)
-    server.initial_camera.look_at = centre
-    server.initial_camera.position = centre + 1.65 * size * np.array([0.42, -0.8, 0.43])
+    server.initial_camera.look_at = aim
+    server.initial_camera.position = aim + 1.7 * size * way
     server.initial_camera.near = 0.002 * size
     server.initial_camera.far = 100.0 * size
 
@@ -45,12 +48,12 @@ def set_stage(server: viser.ViserServer, bounds: NDArray[np.float64]) -> None:
     server.scene.set_up_direction("+z")
     server.scene.configure_default_lights(enabled=False)
     server.scene.add_light_hemisphere(
-        "/light/sky", sky_color=(255, 252, 246), ground_color=(196, 198, 206), intensity=1.15
+        "/light/sky", sky_color=(255, 252, 246), ground_color=(196, 198, 206), intensity=0.75
     )
     for name, place, intensity, shadow in (
-        ("key", (0.9, -1.3, 1.9), 1.9, True),
-        ("fill", (-1.6, -0.8, 0.7), 0.65, False),
-        ("rim", (-0.4, 1.8, 1.2), 0.9, False),
+        ("key", (0.5, -1.2, 1.9), 1.25, True),
+        ("fill", (-1.6, -0.8, 0.7), 0.3, False),
+        ("rim", (-0.4, 1.8, 1.2), 0.5, False),
     ):
         server.scene.add_light_directional(
             f"/light/{name}",
@@ -59,19 +62,19 @@ def set_stage(server: viser.ViserServer, bounds: NDArray[np.float64]) -> None:
             cast_shadow=shadow,
             position=tuple(centre + size * np.array(place)),
         )
-    cell = 10.0 ** np.floor(np.log10(size / 4.0))
+    cell = 10.0 ** np.floor(np.log10(size / 2.0)) / 4.0
     server.scene.add_grid(
         "/floor",
-        width=6 * size,
-        height=6 * size,
+        width=5 * size,
+        height=5 * size,
         cell_size=cell,
-        section_size=5 * cell,
-        cell_color=(226, 226, 226),
-        section_color=(206, 206, 206),
+        section_size=4 * cell,
+        cell_color=(236, 236, 236),
+        section_color=(222, 222, 222),
         plane_color=(250, 250, 249),
         plane_opacity=0.0,
         shadow_opacity=0.18,
-        fade_distance=6 * size,
+        fade_distance=4 * size,
         position=(centre[0], centre[1], low[2] - 0.02 * size),
     )
 
