@@ -26,7 +26,9 @@ _HOME = {
     "Bend": "bend",
     "Certificate": "certificate",
     "CheckReport": "checking",
+    "ColorScale": "color_scales",
     "Composition": "maps",
+    "Distortion": "distortion",
     "ElasticOptions": "elastic_solve",
     "FileFormatError": "errors",
     "FitOptions": "fitting",
@@ -48,6 +50,7 @@ _HOME = {
     "back_end": "evaluate",
     "certify": "certificate",
     "check": "checking",
+    "color_scale": "color_scales",
     "contours": "slices",
     "deform": "deformation",
     "deform_mesh": "push_forward",
@@ -55,9 +58,11 @@ _HOME = {
     "elastic_energy": "energy",
     "extract": "extraction",
     "fit": "fitting",
+    "handle_distance": "distortion",
     "hold": "handles",
     "load": "files",
     "load_handles": "handles",
+    "measure_distortion": "distortion",
     "move": "handles",
     "redistance": "distance_grid",
     "redistance_report": "distance_grid",
@@ -78,8 +83,10 @@ if TYPE_CHECKING:
     from implicit_warp.bend import Bend
     from implicit_warp.certificate import Certificate, certify
     from implicit_warp.checking import BadMesh, CheckReport, check
+    from implicit_warp.color_scales import ColorScale, color_scale
     from implicit_warp.deformation import deform
     from implicit_warp.distance_grid import RedistanceReport, redistance, redistance_report
+    from implicit_warp.distortion import Distortion, handle_distance, measure_distortion
     from implicit_warp.elastic_solve import ElasticOptions, SolveReport, elastic
     from implicit_warp.energy import elastic_energy
     from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective

@@ -8,7 +8,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from implicit_warp.distortion import coloured, distortion
+from implicit_warp.affine import Affine
+from implicit_warp.color_scales import color_scale
+from implicit_warp.distortion import measure_distortion
 from implicit_warp.maps import Map
 from implicit_warp.pipeline import PALETTE
 from implicit_warp.viewer.regions import selected
@@ -19,7 +21,10 @@ if TYPE_CHECKING:
 
 BODY, PICKED = (208, 206, 200), (252, 196, 60)
 
-PLAIN, COLOURS = "Handles", ("Handles", "Stretch", "Volume", "Energy")
+QUANTITY = {"Stretch": "stretch", "Volume": "det", "Energy": "energy"}
+"""The quantities by their names in the page."""
+
+PLAIN, COLOURS = "Handles", ("Handles", *QUANTITY)
 
 
 def fit_camera(server: viser.ViserServer, bounds: NDArray[np.float64]) -> None:
@@ -127,14 +132,10 @@ class Shown:
 
     def paint_distortion(self, map: Map | None, quantity: str) -> tuple[float, float]:
         """Colour the mesh by what a map does; returns the values of both ends of the scale."""
-        at_rest = np.asarray(self.rest.vertices)
-        name = quantity.lower()
-        if map is None:
-            values = np.zeros(len(at_rest)) if name == "energy" else np.ones(len(at_rest))
-        else:
-            values = distortion(map, at_rest, name)
-        scale = coloured(values, name)
-        colours = np.column_stack([scale.colours, np.full(len(at_rest), 255, np.uint8)])
+        name = QUANTITY[quantity]
+        values = measure_distortion(map or Affine(), self.rest.vertices).quantity(name)
+        scale = color_scale(name, values)
+        colours = scale(values)
         mesh = trimesh.Trimesh(self.vertices, self._faces, vertex_colors=colours, process=False)
         self._clear()
         self._key = None
