@@ -12,7 +12,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="session")
-def browser():
+def chromium():
     playwright = pytest.importorskip("playwright.sync_api")
     path = browser_path()
     if path is None:
@@ -21,6 +21,14 @@ def browser():
         instance = p.chromium.launch(executable_path=path, args=list(FLAGS))
         yield instance
         instance.close()
+
+
+@pytest.fixture
+def browser(chromium):
+    """A window whose tabs are closed after the test: they would go on drawing, and reconnect."""
+    window = chromium.new_context()
+    yield window
+    window.close()
 
 
 @pytest.fixture

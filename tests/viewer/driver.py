@@ -54,7 +54,8 @@ class Tab:
     def __init__(self, browser: Any, editor: Editor, size: tuple[int, int] = (1280, 800)) -> None:
         known = set(editor.server.get_clients())
         self.editor, self.size = editor, np.array(size, np.float64)
-        self.page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        self.page = browser.new_page()
+        self.page.set_viewport_size({"width": size[0], "height": size[1]})
         self.page.goto(editor.url)
         self._client = until(
             lambda: next(
