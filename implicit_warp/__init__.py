@@ -60,9 +60,11 @@ _HOME = {
     "fit": "fitting",
     "handle_distance": "distortion",
     "hold": "handles",
+    "layer_picture": "layer_pictures",
     "load": "files",
     "load_handles": "handles",
     "measure_distortion": "distortion",
+    "mesh_section": "cross_sections",
     "move": "handles",
     "redistance": "distance_grid",
     "redistance_report": "distance_grid",
@@ -84,6 +86,7 @@ if TYPE_CHECKING:
     from implicit_warp.certificate import Certificate, certify
     from implicit_warp.checking import BadMesh, CheckReport, check
     from implicit_warp.color_scales import ColorScale, color_scale
+    from implicit_warp.cross_sections import mesh_section
     from implicit_warp.deformation import deform
     from implicit_warp.distance_grid import RedistanceReport, redistance, redistance_report
     from implicit_warp.distortion import Distortion, handle_distance, measure_distortion
@@ -95,6 +98,7 @@ if TYPE_CHECKING:
     from implicit_warp.files import load, save
     from implicit_warp.fitting import FitOptions, FitReport, fit
     from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
+    from implicit_warp.layer_pictures import layer_picture
     from implicit_warp.maps import Composition, Map
     from implicit_warp.push_forward import PushForwardReport, deform_mesh
     from implicit_warp.shear import Shear

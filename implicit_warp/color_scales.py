@@ -27,7 +27,7 @@ Bytes = NDArray[np.uint8]
 STEPS = 256
 """Colours of a scale."""
 
-MISSING = (150, 150, 155, 255)
+MISSING = (186, 186, 191, 255)
 """Where there is no value: NaN."""
 
 # Lightness, chroma and hue in degrees, from the neutral colour outwards.
