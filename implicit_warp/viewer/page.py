@@ -29,10 +29,12 @@ from implicit_warp.viewer.session import (
     EditSession,
     EditState,
     load_edit,
+    same_task,
     save_edit,
     solve_handles,
 )
 from implicit_warp.viewer.source import ShapeSource
+from implicit_warp.warp import Warp
 
 
 def import_viser() -> Any:
@@ -82,6 +84,7 @@ class Editor:
         viser = import_viser()
         self.folder = Path(folder).resolve()
         self.source = ShapeSource(shape)
+        self._sources = (self.source.path,)
         state, solve = EditState(), {}
         if handles is not None:
             state, solve = load_edit(handles, np.asarray(self.source.preview.vertices))
@@ -118,7 +121,7 @@ class Editor:
         if state.moves:
             self.solver.solve(solve_handles(state))
         if self.autosave.left_over:
-            self.panel.offer_recovery(self.recover, self.autosave.forget, self.server)
+            self.panel.offer_recovery(self.recover, self.autosave.forget_left_over, self.server)
         threading.Thread(target=self._watch, name="watch", daemon=True).start()
 
     # --- life ---
@@ -138,7 +141,7 @@ class Editor:
         self._playing.clear()
         self.solver.close()
         if not crashed:
-            self.autosave.forget()
+            self.autosave.end()
         with contextlib.redirect_stdout(None):
             self.server.stop()
 
@@ -149,7 +152,10 @@ class Editor:
                 self.reload()
             if time.monotonic() - saved > PERIOD:
                 saved = time.monotonic()
-                self.autosave.save_if_changed()
+                try:
+                    self.autosave.save_if_changed()
+                except Exception as error:  # noqa: BLE001 - told, and the watch goes on
+                    tell(self.server, error)
 
     def reload(self) -> None:
         """Take the shape from its file again; a broken file leaves it, and is told of."""
@@ -166,8 +172,12 @@ class Editor:
 
     def recover(self) -> None:
         """Go on with the edit that was saved automatically."""
-        state, _ = load_edit(self.autosave.path, np.asarray(self.source.preview.vertices))
+        if self.autosave.left_over is None:
+            return
+        state, _ = load_edit(self.autosave.left_over, np.asarray(self.source.preview.vertices))
         self.session.change(lambda _: state)
+        self.autosave.save_if_changed()
+        self.autosave.forget_left_over()
         self.solve_if_moved()
 
     # --- the session's changes ---
@@ -227,7 +237,7 @@ class Editor:
         if state.moves:
             self.solver.solve(solve_handles(state, self._amount))
         else:
-            self.solver.stop()
+            self.solver.rest()
             self.last = self.final = None
             self.shown.move(np.asarray(self.source.preview.vertices, np.float32))
             self.panel.show_numbers("at rest")
@@ -370,7 +380,7 @@ class Editor:
                 )
                 return _replace(state, selection=regions.covering(rest, mask))
             step = 0.015 * self.size * (1 if what == "Grow" else -1)
-            return _replace(state, selection=regions.grown(old, step))
+            return _replace(state, selection=regions.grown(old, step, rest))
 
         self.session.change(change)
 
@@ -535,22 +545,11 @@ class Editor:
     # --- files ---
 
     def _export(self, event: Any) -> None:
-        path = inside(self.folder, self.panel.file.value, MESHES)
+        path = inside(self.folder, self.panel.file.value, MESHES, keep=self._sources)
         if not self._exporting.acquire(blocking=False):
             raise InputError("export", str(path), "another export is running", "wait for it to end")
         try:
-            self.solver.wait(120)
-            state, warp = self.session.state, None
-            if state.moves:
-                if self.final is None or self._amount != 1.0:
-                    self._amount = self.panel.amount.value = 1.0
-                    self.solver.solve(solve_handles(state))
-                    self.solver.wait(120)
-                if self.final is None:
-                    raise InputError(
-                        "export", str(path), "the solve did not end", "see the message before this"
-                    )
-                warp = self.final.warp
+            warp = self._solved()
             self.panel.show_export(0.0)
             report = export_mesh(
                 self.source.field, warp, path, int(self.panel.resolution.value),
@@ -561,19 +560,36 @@ class Editor:
         finally:
             self._exporting.release()
 
+    def _solved(self) -> Warp | None:
+        """The map of a full solve for the handles as they are now; None if nothing moves."""
+        state = self.session.state
+        if not state.moves:
+            return None
+        wanted = solve_handles(state)
+        self.solver.wait(120)
+        if self.final is None or not same_task(self.final.handles, wanted):
+            self._amount = self.panel.amount.value = 1.0
+            self.solver.solve(wanted)
+            self.solver.wait(120)
+        if self.final is None or not same_task(self.final.handles, wanted):
+            raise InputError(
+                "export", len(wanted), "the solve for these handles did not end",
+                "see the message before this, or try again",
+            )  # fmt: skip
+        return self.final.warp
+
     def _save(self, what: str, client: Any) -> None:
         stem = Path(self.panel.file.value.strip() or "edit").stem
+        suffix = {"Handles": ".toml", "Warp": ".safetensors"}.get(what, ".png")
+        path = inside(self.folder, f"{stem}{suffix}", (suffix,), keep=self._sources)
         if what == "Handles":
-            path = inside(self.folder, f"{stem}.toml", (".toml",))
             save_edit(self.session.state, path, self._solve_table)
         elif what == "Warp":
-            if self.last is None:
+            warp = self._solved()
+            if warp is None:
                 raise InputError("warp", 0, "nothing is moved yet", "move a handle first")
-            self.solver.wait(120)
-            path = inside(self.folder, f"{stem}.safetensors", (".safetensors",))
-            save((self.final or self.last).warp, path)
+            save(warp, path)
         else:
-            path = inside(self.folder, f"{stem}.png", (".png",))
             self._picture(path)
         self.panel.show_export(1.0, f"wrote {path.name}")
         client.send_file_download(path.name, path.read_bytes())

@@ -14,8 +14,6 @@ PART = """
 import fields as sdf
 shape = sdf.rounded_box((0.5, 0.5, 1.6), 0.1).translate((0.1, 0, 0))
 """
-    "import fields as sdf\nshape = sdf.rounded_box((0.5, 0.5, 1.6), 0.1).translate((0.1, 0, 0))\n"
-)
 HANDLES = """
 [[handle]]
 name = "foot"
