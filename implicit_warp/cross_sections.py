@@ -30,7 +30,7 @@ Bytes = NDArray[np.uint8]
 _INSIDE = ((22, 65, 94), (111, 168, 196), (221, 236, 241))
 """From the deepest value to the surface; the blues and browns of `slice_plot`."""
 _OUTSIDE = ((251, 241, 226), (238, 189, 135), (185, 101, 44))
-_INK = (29, 36, 41)
+INK = (29, 36, 41)
 _LINES = 14
 
 
@@ -178,19 +178,10 @@ def section_picture(
         raise InputError("opacity", opacity, "not in 0 to 1", "0.85 lets a shape shine through")
     section = slice_values(field, plane, resolution, bounds=bounds)
     values = section.values
-    if spacing is None:
-        from implicit_warp.slice_picture import round_step
-
-        spacing = round_step(float(np.ptp(values)) / _LINES)
-    spacing = arguments.positive("spacing", spacing)
+    spacing = line_spacing(values) if spacing is None else arguments.positive("spacing", spacing)
     image = np.empty((*values.shape, 4))
-    inside = values < 0
-    for where, colors, reach in (
-        (inside, _INSIDE[::-1], -values.min()),
-        (~inside, _OUTSIDE, values.max()),
-    ):
-        image[where, :3] = _ramp(np.abs(values[where]) / max(reach, 1e-300), colors)
-    image[..., 3] = np.where(inside, 1.0, opacity)
+    image[..., :3] = section_colors(values, -values.min(), values.max()) * 255.0
+    image[..., 3] = np.where(values < 0, 1.0, opacity)
     # How far a pixel is from a line, in pixels: the value's distance over its slope.
     slope = np.maximum(np.hypot(*np.gradient(values)), 1e-12 * spacing)
     thin = np.abs((values / spacing + 0.5) % 1.0 - 0.5) * spacing / slope
@@ -200,6 +191,28 @@ def section_picture(
     _draw(image, np.clip(1.8 - np.abs(values) / slope, 0, 1))
     pixels = np.rint(image[::-1] * np.array([1, 1, 1, 255])).astype(np.uint8)
     return _placed(section, pixels, spacing)
+
+
+def line_spacing(values: Array) -> float:
+    """A round distance between lines that gives about 14 of them."""
+    from implicit_warp.slice_picture import round_step
+
+    return round_step(float(np.ptp(values)) / _LINES)
+
+
+def section_colors(values: Array, deepest: float, farthest: float) -> Array:
+    """sRGB (..., 3) in [0, 1] of a field's values (...): blue inside, brown outside, pale at the
+    surface.
+
+    Args:
+        values: of the field.
+        deepest, farthest: how far from zero the darkest colours of the two sides are.
+    """
+    sides = [
+        _ramp(np.abs(values) / max(reach, 1e-300), colors) / 255.0
+        for reach, colors in ((deepest, _INSIDE[::-1]), (farthest, _OUTSIDE))
+    ]
+    return np.where((values < 0)[..., None], *sides)
 
 
 def _normal(plane: Plane) -> Array:
@@ -214,7 +227,7 @@ def _ramp(share: Array, colors: Sequence[tuple[int, int, int]]) -> Array:
 
 def _draw(image: Array, cover: Array) -> None:
     """Ink over an image (h, w, 4), as much as (h, w) says."""
-    image[..., :3] += cover[..., None] * (np.array(_INK) - image[..., :3])
+    image[..., :3] += cover[..., None] * (np.array(INK) - image[..., :3])
     image[..., 3] += cover * (1.0 - image[..., 3])
 
 
