@@ -34,6 +34,7 @@ demo: $(READY)
 	$(BIN)/python examples/demo/run.py --out out/demo
 
 test: $(READY)
+	$(BIN)/python scripts/system_libraries.py --browser
 	$(BIN)/python -m pytest $(ARGS)
 
 lint: $(READY)

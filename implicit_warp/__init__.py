@@ -26,7 +26,9 @@ _HOME = {
     "Bend": "bend",
     "Certificate": "certificate",
     "CheckReport": "checking",
+    "ColorScale": "color_scales",
     "Composition": "maps",
+    "Distortion": "distortion",
     "ElasticOptions": "elastic_solve",
     "FileFormatError": "errors",
     "FitOptions": "fitting",
@@ -48,6 +50,7 @@ _HOME = {
     "back_end": "evaluate",
     "certify": "certificate",
     "check": "checking",
+    "color_scale": "color_scales",
     "contours": "slices",
     "deform": "deformation",
     "deform_mesh": "push_forward",
@@ -55,9 +58,13 @@ _HOME = {
     "elastic_energy": "energy",
     "extract": "extraction",
     "fit": "fitting",
+    "handle_distance": "distortion",
     "hold": "handles",
+    "layer_picture": "layer_pictures",
     "load": "files",
     "load_handles": "handles",
+    "measure_distortion": "distortion",
+    "mesh_section": "cross_sections",
     "move": "handles",
     "redistance": "distance_grid",
     "redistance_report": "distance_grid",
@@ -78,8 +85,11 @@ if TYPE_CHECKING:
     from implicit_warp.bend import Bend
     from implicit_warp.certificate import Certificate, certify
     from implicit_warp.checking import BadMesh, CheckReport, check
+    from implicit_warp.color_scales import ColorScale, color_scale
+    from implicit_warp.cross_sections import mesh_section
     from implicit_warp.deformation import deform
     from implicit_warp.distance_grid import RedistanceReport, redistance, redistance_report
+    from implicit_warp.distortion import Distortion, handle_distance, measure_distortion
     from implicit_warp.elastic_solve import ElasticOptions, SolveReport, elastic
     from implicit_warp.energy import elastic_energy
     from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
@@ -88,6 +98,7 @@ if TYPE_CHECKING:
     from implicit_warp.files import load, save
     from implicit_warp.fitting import FitOptions, FitReport, fit
     from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
+    from implicit_warp.layer_pictures import layer_picture
     from implicit_warp.maps import Composition, Map
     from implicit_warp.push_forward import PushForwardReport, deform_mesh
     from implicit_warp.shear import Shear

@@ -26,7 +26,9 @@ from implicit_warp.commands.extract import Extract
 from implicit_warp.commands.fit import Fit
 from implicit_warp.commands.info import Info
 from implicit_warp.commands.learn_sdf import LearnSdf
+from implicit_warp.commands.render import Render
 from implicit_warp.commands.slice import Slice
+from implicit_warp.commands.view import View
 from implicit_warp.errors import FileFormatError, InputError, MissingDependency, NotInjective
 
 COMMANDS = {
@@ -34,6 +36,8 @@ COMMANDS = {
     "fit": Fit,
     "extract": Extract,
     "slice": Slice,
+    "render": Render,
+    "view": View,
     "apply": Apply,
     "check": Check,
     "learn-sdf": LearnSdf,

@@ -40,6 +40,7 @@ from implicit_warp.energy import elastic_energy, layer_energy
 from implicit_warp.errors import InputError
 from implicit_warp.handles import Handle
 from implicit_warp.layers import compose_affine, determinant_3x3, invert_affine
+from implicit_warp.maps import Map
 from implicit_warp.options import Options
 from implicit_warp.progress import progress_bar
 from implicit_warp.sampling import sample_shape
@@ -173,7 +174,7 @@ def elastic(
     """
     options = (options or ElasticOptions()).with_changes(changes)
     with progress_bar("elastic", progress) as update, _stepping(options):
-        return ElasticSolve(shape, handles, options).run(update, callback)
+        return ElasticSolve(shape, handles, options).run(update=update, callback=callback)
 
 
 @contextlib.contextmanager
@@ -213,7 +214,8 @@ class ElasticSolve:
     """One solve: samples, the unit domain, the net, and the loop.
 
     `elastic` makes one and runs it. An editor keeps one and takes single steps (`advance`), while
-    the handles are dragged (`retarget`): the net then starts from where it is.
+    the handles are dragged (`retarget`): the net then starts from where it is, or from where
+    another solve has got to (`start_from`).
 
     Args:
         shape, handles, options: see `elastic`.
@@ -295,11 +297,25 @@ class ElasticSolve:
                 self._loss(self._draw()).backward()
                 self._optimiser.step()
 
+    def start_from(self, other: ElasticSolve) -> None:
+        """Go on from another solve's net, of as many layers of the same kind."""
+        self.net.load_state_dict(other.net.state_dict())
+        self._optimiser = None
+
     @torch.no_grad()
-    def handle_error(self) -> float:
-        """Root-mean-square distance of the handles' points from their targets, user's units."""
-        image = evaluate.forward(self.net.stack(), self.sources)
-        return float((image - self.targets).double().square().sum(-1).mean().sqrt()) / self.unit
+    def handle_error(self, map: Map | None = None) -> float:
+        """Root-mean-square distance of the handles' points from their targets, user's units.
+
+        Args:
+            map: that the points follow; the net as it is now, if none is given.
+        """
+        if map is None:
+            image = evaluate.forward(self.net.stack(), self.sources)
+            distance = (image - self.targets).double() / self.unit
+        else:
+            regions = zip(self.handles, self._samples.regions, strict=True)
+            distance = torch.cat([map(points) - h.motion(points) for h, points in regions])
+        return float(distance.square().sum(-1).mean().sqrt())
 
     def _break_symmetry(self) -> None:
         # At the identity all layers of one frame have the same gradient, and would move as one.
@@ -308,8 +324,24 @@ class ElasticSolve:
                 noise = torch.randn(parameter.shape, generator=self.generator, dtype=torch.float64)
                 parameter += 0.01 * noise.to(parameter.device)
 
-    def run(self, update, callback) -> Warp:
-        """The loop; returns the best state found."""
+    def run(
+        self,
+        *,
+        update: Callable[[int, int, str], None] | None = None,
+        callback: Callable[[int, Warp], None] | None = None,
+        watch: Callable[[], None] | None = None,
+    ) -> Warp:
+        """The loop; returns the best state found.
+
+        Args:
+            update: called at every review with the step, the most steps and a text.
+            callback: called at every review with the step and the current map.
+            watch: called before every step; what it raises ends the solve.
+        """
+        with _stepping(self.options):
+            return self._run(update, callback, watch)
+
+    def _run(self, update, callback, watch) -> Warp:
         options = self.options
         optimiser = torch.optim.Adam(self.net.parameters(), lr=options.learning_rate, fused=True)
         schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, self._rate)
@@ -321,7 +353,8 @@ class ElasticSolve:
                 if step % _REVIEW == 0 or step == options.steps:
                     total = self._review()
                     history.append((step, total))
-                    update(step, options.steps, f"loss {total:.4g}")
+                    if update is not None:
+                        update(step, options.steps, f"loss {total:.4g}")
                     if total < best_loss:
                         best_loss = total
                         best_state = {k: v.clone() for k, v in self.net.state_dict().items()}
@@ -332,6 +365,8 @@ class ElasticSolve:
                         break
                 if step == options.steps:
                     break
+                if watch is not None:
+                    watch()
                 loss = self._loss(self._draw())
                 optimiser.zero_grad(set_to_none=True)
                 loss.backward()

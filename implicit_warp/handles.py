@@ -248,7 +248,8 @@ def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        # TOML's escapes are JSON's; only "delete" has to be escaped here and not there.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, Sequence):

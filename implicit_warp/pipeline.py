@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -187,18 +187,26 @@ def save_picture(
 
     rest = extract(shape, resolution)
 
-    def at_rest(points: np.ndarray) -> np.ndarray:
-        colours = np.tile(np.array(_BODY, dtype=np.float64) / 255.0, (len(points), 1))
-        for i, handle in enumerate(handles):
-            inside = handle.region(points) <= 0
-            colours[inside] = np.array(PALETTE[i % len(PALETTE)]) / 255.0
-        return colours
+    at_rest = handle_colors(handles)
 
     def after(points: np.ndarray) -> np.ndarray:
         return at_rest(warp.inv(points))
 
     image = render_row([Panel(rest, at_rest, "rest"), Panel(deformed, after, "deformed")])
     save_png(path, image)
+
+
+def handle_colors(handles: Sequence[Handle]) -> Callable[[np.ndarray], np.ndarray]:
+    """A function from points at rest (n, 3) to sRGB (n, 3): each handle's region has its colour."""
+
+    def colors(points: np.ndarray) -> np.ndarray:
+        found = np.tile(np.array(_BODY, dtype=np.float64) / 255.0, (len(points), 1))
+        for i, handle in enumerate(handles):
+            inside = handle.region(points) <= 0
+            found[inside] = np.array(PALETTE[i % len(PALETTE)]) / 255.0
+        return found
+
+    return colors
 
 
 def write_json(values: Any, path: str | Path) -> None:

@@ -89,7 +89,7 @@ def slice_plot(
         )
     if path is not None:
         refuse_target(path, SUFFIXES)
-    figure_class, colours = _matplotlib()
+    figure_class, colours = matplotlib_parts("a picture of a section")
     if bounds is None:
         bounds = _common_box(many)
     sections = [slice_values(one, plane, resolution, bounds=bounds) for one in many]
@@ -119,14 +119,19 @@ def slice_plot(
     return figure
 
 
-def _matplotlib() -> tuple[Any, Any]:
+def matplotlib_parts(needed_for: str) -> tuple[Any, Any]:
+    """Matplotlib's `Figure` class and its `colors`, without its global state.
+
+    Raises:
+        MissingDependency: it is not installed; the message names the extra.
+    """
     try:
         from matplotlib import colors
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingDependency(
             "matplotlib",
-            "a picture of a section",
+            needed_for,
             'Install it with `pip install "implicit_warp[plot]"`',
         ) from error
     return Figure, colors
@@ -153,7 +158,7 @@ def _levels(
         if not np.isfinite(lines).all():
             raise InputError("levels", levels, "not finite numbers", "Leave it out")
         return lines[lines != 0], float(np.diff(lines).min()) if len(lines) > 1 else 1.0
-    step = _round_step((highest - lowest) / _LINES) if spacing is None else spacing
+    step = round_step((highest - lowest) / _LINES) if spacing is None else spacing
     if not 0 < step < np.inf or (highest - lowest) / step > 1000:
         raise InputError(
             "spacing",
@@ -165,7 +170,7 @@ def _levels(
     return step * numbers[numbers != 0], step
 
 
-def _round_step(step: float) -> float:
+def round_step(step: float) -> float:
     """The least of 1, 2, 2.5 and 5 times a power of ten that is not below a step."""
     if not step > 0:
         return 1.0

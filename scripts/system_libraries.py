@@ -12,6 +12,9 @@ Missing packages are installed with apt-get when that needs no password (root, o
 that asks nothing); otherwise the exact command is printed. Systems other than Linux are
 left alone: their wheels bring what they need.
 
+With `--browser` it looks for Chromium instead, with which the tests drive the editor's page. These
+tests are skipped without one, so that its absence is told, and is no failure.
+
 Exit status: 0 nothing is missing (any more); 1 something is, and the command or the list
 of libraries was printed.
 """
@@ -45,6 +48,11 @@ LIBRARIES = (
     Requirement("libX11.so.6", "libx11-6", "Open3D, PyMeshLab"),
     Requirement("libOpenGL.so.0", "libopengl0", "PyMeshLab"),
 )
+
+BROWSER = Requirement("chromium", "chromium", "the tests of the editor's page")
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+"""Commands of browsers that the tests can drive, the same ones that they look for."""
 
 # Debian splits the standard library: `python3 -m venv` needs ensurepip, which comes in a
 # package named after the interpreter's version.
@@ -84,6 +92,11 @@ def find_missing(
     """The requirements that are not met, as the two probes see it."""
     missing = [need for need in LIBRARIES if not library_loads(need.what)]
     return missing if module_exists(VENV.what) else [*missing, VENV]
+
+
+def browser_exists() -> bool:
+    """Whether there is a browser that the tests can drive."""
+    return any(shutil.which(name) is not None for name in BROWSERS)
 
 
 def packages_of(missing: Iterable[Requirement]) -> list[str]:
@@ -161,9 +174,18 @@ def main() -> int:
     return 1 if still_missing else 0
 
 
+def provide_browser() -> int:
+    """Install Chromium if that is possible, else tell; always 0."""
+    if sys.platform.startswith("linux") and not browser_exists():
+        provide([BROWSER], current_privileges(), subprocess.call, _say)
+        if not browser_exists():
+            _say("Without a browser, the tests of the editor's page are skipped.")
+    return 0
+
+
 def _say(line: str) -> None:
     sys.stderr.write(line + "\n")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(provide_browser() if sys.argv[1:] == ["--browser"] else main())

@@ -53,7 +53,7 @@ FIELDS_KERNELS = {
 
 HEAVY = (
     *("open3d", "pymeshlab", "trimesh", "skimage", "manifold3d", "tyro", "rich", "PIL"),
-    *("matplotlib", "nrrd", "fontTools"),
+    *("matplotlib", "nrrd", "fontTools", "imageio_ffmpeg"),
 )
 
 

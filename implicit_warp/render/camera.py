@@ -74,10 +74,13 @@ class Camera:
         Raises:
             InputError: an unusable box, direction, size or margin.
         """
-        box = box_bounds("bounds", bounds)
-        corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls.fit_points(
-            corners, direction=direction, size=size, up=up, fov=fov, margin=margin
+            box_corners(box_bounds("bounds", bounds)),
+            direction=direction,
+            size=size,
+            up=up,
+            fov=fov,
+            margin=margin,
         )
 
     @classmethod
@@ -161,6 +164,11 @@ class Camera:
         scale = height / (2 * _tangent(self.fov)) / depth
         columns, rows = width / 2 + local[..., 0] * scale, height / 2 - local[..., 1] * scale
         return np.stack([columns, rows], axis=-1)
+
+
+def box_corners(box: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The eight corners `(8, 3)` of a box `(2, 3)`."""
+    return np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def picture_size(size: tuple[int, int]) -> tuple[int, int]:

@@ -118,18 +118,17 @@ class Ground:
 
     def light_along(self, origin: Array, directions: Array) -> Array:
         """Relative light, 1 where nothing is in its way, where rays `(n, 3)` meet the ground."""
-        fall = directions @ self._up
-        distance = np.divide(
-            self._height - origin @ self._up, fall, out=np.full(len(fall), np.inf), where=fall < 0
-        )
-        inside = np.isfinite(distance)
-        light = np.ones(len(directions))
-        places = (origin + distance[inside, None] * directions[inside]) @ self._axes.T
-        unit = (places - self._middle) / GROUND_HALF
-        texels = (unit.T + 1) / 2 * GROUND_TEXELS - 0.5
+        fall = directions @ self._up.astype(np.float64)
+        down = np.flatnonzero(fall < 0)
+        distance = (self._height - origin @ self._up) / fall[down]
+        from_middle = origin @ self._axes.T - self._middle
+        unit = ((directions @ self._axes.T)[down] * distance[:, None] + from_middle) / GROUND_HALF
+        radius = np.hypot(unit[:, 0], unit[:, 1])
+        near = np.flatnonzero(radius < 1)  # no shadow falls farther out
+        texels = (unit[near].T + 1) / 2 * GROUND_TEXELS - 0.5
         found = map_coordinates(self._light, texels, order=1, mode="nearest")
-        fade = smoothstep(1.0, 0.6, np.linalg.norm(unit, axis=1))
-        light[inside] = 1 - fade * (1 - found)
+        light = np.ones(len(directions))
+        light[down[near]] = 1 - smoothstep(1.0, 0.6, radius[near]) * (1 - found)
         return light
 
 

@@ -12,10 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fields.arguments import number
+from fields.arguments import box_bounds, number
 from implicit_warp.errors import InputError, MissingDependency
 from implicit_warp.files import atomic_write
-from implicit_warp.render.camera import DEFAULT_DIRECTION, DEFAULT_SIZE, Camera, picture_size
+from implicit_warp.render.camera import (
+    DEFAULT_DIRECTION,
+    DEFAULT_SIZE,
+    Camera,
+    box_corners,
+    picture_size,
+)
 from implicit_warp.render.lighting import HALO, Ground, Stage, shade, smoothstep
 from implicit_warp.render.sampling import ordered
 from implicit_warp.render.scene import Scene
@@ -44,11 +50,12 @@ BAND_SAMPLES = 400_000  # samples shaded at once; bounds the memory
 
 @dataclass(frozen=True)
 class Panel:
-    """One mesh of a row: its colour as in `render`, and a few words to print under it."""
+    """One mesh of a row: its colour and places as in `render`, and words to print under it."""
 
     mesh: trimesh.Trimesh
     color: Color = None
     label: str = ""
+    places: ArrayLike | None = None
 
 
 def render(
@@ -57,8 +64,10 @@ def render(
     size: tuple[int, int] = DEFAULT_SIZE,
     camera: Camera | None = None,
     color: Color = None,
+    places: ArrayLike | None = None,
     background: ArrayLike = BACKGROUND,
     ground: bool = True,
+    within: ArrayLike | None = None,
     crease_angle: float = 50.0,
     supersampling: int = 2,
 ) -> Image:
@@ -72,9 +81,13 @@ def render(
         color: sRGB in [0, 1]: one triple, one for each vertex `(V, 3)` or face `(F, 3)`, or a
             function that takes hit points `(n, 3)` in the mesh's units and gives `(n, 3)`, so
             that a boundary between colours is as sharp as the pixels.  None is `CLAY`.
+        places: `(V, 3)` positions of the vertices that such a function is to be asked about instead
+            of those shown: a deformed mesh is painted by where its points were at rest.
         background: one colour `(3,)`, or two `(2, 3)` for top and bottom.
         ground: whether the mesh stands on an invisible ground that catches its shadow; there is
             none anyway if the camera is below the mesh.
+        within: a box `(2, 3)` that decides where the ground is and how far shadows reach, instead
+            of the mesh's own: the frames of a film share one.
         crease_angle: edges sharper than so many degrees stay sharp; others are shaded smoothly.
         supersampling: samples along each side of a pixel.
 
@@ -84,11 +97,12 @@ def render(
         MissingDependency: Open3D cannot be imported.
     """
     return render_row(
-        [Panel(mesh, color)],
+        [Panel(mesh, color, places=places)],
         size=size,
         camera=camera,
         background=background,
         ground=ground,
+        within=within,
         crease_angle=crease_angle,
         supersampling=supersampling,
     )
@@ -101,6 +115,7 @@ def render_row(
     camera: Camera | None = None,
     background: ArrayLike = BACKGROUND,
     ground: bool = True,
+    within: ArrayLike | None = None,
     crease_angle: float = 50.0,
     supersampling: int = 2,
 ) -> Image:
@@ -123,8 +138,11 @@ def render_row(
     _check_options(crease_angle, supersampling)
     top, bottom = _gradient_ends(background)
     surfaces = [checked_arrays(panel.mesh) for panel in panels]
-    paints = [Paint(p.color, *arrays) for p, arrays in zip(panels, surfaces, strict=True)]
-    shown = np.concatenate([vertices[np.unique(faces)] for vertices, faces in surfaces])
+    paints = [Paint(p.color, *arrays, p.places) for p, arrays in zip(panels, surfaces, strict=True)]
+    if within is None:
+        shown = np.concatenate([vertices[np.unique(faces)] for vertices, faces in surfaces])
+    else:
+        shown = box_corners(box_bounds("within", within))
     if camera is None:
         camera = Camera.fit_points(shown, direction=DEFAULT_DIRECTION, size=size)
 
@@ -172,7 +190,7 @@ def save_png(path: str | Path, image: Image) -> None:
             "pass what `render` or `render_row` returned",
         )
     with atomic_write(path) as temporary:
-        _pillow("Image").fromarray(image).save(temporary, format="PNG", optimize=True)
+        pillow("Image").fromarray(image).save(temporary, format="PNG", optimize=True)
 
 
 def _expose(scene: Scene, stage: Stage, backdrop: Array, supersampling: int) -> Array:
@@ -272,8 +290,8 @@ def _strip_height(size: tuple[int, int]) -> int:
 
 def _with_labels(image: Image, labels: Sequence[str], size: tuple[int, int], strip: int) -> Image:
     """Draw each label in the middle of its panel's strip."""
-    picture = _pillow("Image").fromarray(image)
-    draw = _pillow("ImageDraw").Draw(picture)
+    picture = pillow("Image").fromarray(image)
+    draw = pillow("ImageDraw").Draw(picture)
     width, height = size
     dark = image[-1].mean() < 128
     for index, label in enumerate(labels):
@@ -285,13 +303,14 @@ def _with_labels(image: Image, labels: Sequence[str], size: tuple[int, int], str
 
 def _font_for(label: str, points: int, width: float) -> FreeTypeFont:
     """Pillow's own font, as large as asked, or smaller so that the label fits."""
-    load = _pillow("ImageFont").load_default
+    load = pillow("ImageFont").load_default
     font = load(points)
     length = font.getlength(label)
     return font if length <= width else load(points * width / length)
 
 
-def _pillow(part: str) -> ModuleType:
+def pillow(part: str) -> ModuleType:
+    """A module of Pillow, or an error that says how to get it."""
     try:
         return import_module(f"PIL.{part}")
     except ImportError as error:

@@ -105,14 +105,30 @@ class Paint:
         color: None for `CLAY`, one sRGB triple, one for each vertex `(V, 3)` or face `(F, 3)`, or
             a function from points `(n, 3)` to colours `(n, 3)`; all in [0, 1].  If there are as
             many vertices as faces, an array is taken to be of vertices.
+        places: `(V, 3)` where the vertices are for such a function, if not where they are shown:
+            at rest, say.
 
     Raises:
         InputError: another shape, or values that are not in [0, 1].
     """
 
-    def __init__(self, color: Color, vertices: Array, faces: NDArray[np.int64]) -> None:
+    def __init__(
+        self,
+        color: Color,
+        vertices: Array,
+        faces: NDArray[np.int64],
+        places: ArrayLike | None = None,
+    ) -> None:
         self._function = color if callable(color) else None
         self._faces = faces
+        self._places = None if places is None else np.asarray(places, dtype=np.float64)
+        if self._places is not None and self._places.shape != vertices.shape:
+            raise InputError(
+                "places",
+                self._places.shape,
+                f"not one place for each of the {len(vertices)} vertices",
+                "pass an array of shape (V, 3)",
+            )
         self._single = self._of_vertices = self._of_faces = None
         if callable(color):
             return
@@ -135,6 +151,8 @@ class Paint:
     def __call__(self, face: NDArray[np.int64], weights: Array, points: Array) -> Array:
         """Linear RGB `(n, 3)` in faces `(n,)` at barycentric `weights` `(n, 3)` and `points`."""
         if self._function is not None:
+            if self._places is not None:
+                points = np.einsum("nc,nci->ni", weights, self._places[self._faces[face]])
             found = _checked_colors(self._function(points), self._function)
             if found.shape != points.shape:
                 raise InputError(

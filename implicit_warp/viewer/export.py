@@ -15,13 +15,23 @@ from implicit_warp.mesh_files import WRITABLE, write_mesh
 from implicit_warp.warp import Warp
 
 
-def inside(folder: Path, name: str, suffixes: Sequence[str]) -> Path:
+def inside(
+    folder: Path, name: str, suffixes: Sequence[str], keep: Sequence[Path | None] = ()
+) -> Path:
     """The path of a file that the page names, in the working folder or below.
 
+    Args:
+        folder: the working folder.
+        name: the file's name, or its path from there.
+        suffixes: that it may have.
+        keep: files that must not be replaced: those that the edit was made from.
+
     Raises:
-        InputError: it would lie elsewhere, or its suffix is none of these.
+        InputError: it would lie elsewhere, its suffix is none of these, or it is to be kept.
     """
     text = name.strip()
+    if "\0" in text:
+        raise InputError("file", name, "it holds a null character", "leave it out")
     if not text:
         raise InputError("file", name, "it has no name", f"write e.g. part{suffixes[0]}")
     folder = folder.resolve()
@@ -34,6 +44,10 @@ def inside(folder: Path, name: str, suffixes: Sequence[str]) -> Path:
             "name a file in that folder; move it elsewhere afterwards",
         )
     refuse_target(path, tuple(suffixes))
+    if any(other is not None and path == other.resolve() for other in keep):
+        raise InputError(
+            "file", name, "it would replace the file that is edited", "choose another name"
+        )
     return path
 
 

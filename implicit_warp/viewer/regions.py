@@ -30,8 +30,9 @@ Mask = NDArray[np.bool_]
 DIGITS = 6
 """Significant digits of the numbers in regions: nobody picks more precisely than a millionth."""
 
-MOST_BALLS = 400
-"""Balls that cover a pick of vertices, at most."""
+MOST_BALLS = 2000
+"""Balls that cover a pick of vertices, at most: a narrow band on the preview mesh takes some
+hundreds."""
 
 
 class Camera(NamedTuple):
@@ -61,7 +62,7 @@ class Camera(NamedTuple):
 
 def ball(center: ArrayLike, radius: float) -> Field:
     """What a brush of this radius picks at a point (3,)."""
-    return fields.sphere(_rounded(radius), _rounded(center))
+    return fields.sphere(_rounded(radius), _rounded(center, radius))
 
 
 def block(position: ArrayLike, wxyz: ArrayLike, size: ArrayLike) -> Field:
@@ -72,7 +73,7 @@ def block(position: ArrayLike, wxyz: ArrayLike, size: ArrayLike) -> Field:
         vector = rotation.as_rotvec(degrees=True)
         degrees = float(np.linalg.norm(vector))
         turned = turned.rotate(_rounded(degrees), _rounded(vector / degrees))
-    return turned.translate(_rounded(position))
+    return turned.translate(_rounded(position, float(np.min(size))))
 
 
 def selected(region: Field | None, vertices: NDArray[np.float64]) -> Mask:
@@ -93,16 +94,37 @@ def combined(old: Field | None, new: Field, how: str) -> Field | None:
     return None if old is None else fields.difference(old, new)
 
 
-def grown(region: Field, distance: float) -> Field:
-    """The region and what is within a distance of it; less of it, by a negative one."""
-    return region.offset(_rounded(distance))
+def grown(region: Field, distance: float, vertices: NDArray[np.float64]) -> Field:
+    """The region and what is within a distance of it; by a negative one, what is left of it that
+    far from the vertices (n, 3) outside.
+
+    Raises:
+        InputError: no vertex would be left.
+    """
+    # Within a union, its value knows of one part only: less of it would have gaps between parts.
+    if distance > 0 or region.exact:
+        changed = region.offset(_rounded(distance))
+        if selected(changed, vertices).any():
+            return changed
+        kept = np.zeros(len(vertices), np.bool_)
+    else:
+        kept = selected(region, vertices)
+        if kept.any() and not kept.all():
+            gap = cKDTree(vertices[~kept]).query(vertices[kept])[0]
+            kept[kept] = gap > -distance
+    if not kept.any():
+        raise InputError(
+            "selection", 0, "nothing would be left of it", "keep it, or pick a larger area"
+        )
+    return covering(vertices, kept)
 
 
 def inverted(region: Field | None, bounds: ArrayLike) -> Field:
     """Everything else of a shape within some bounds (2, 3)."""
     low, high = np.asarray(bounds, np.float64)
     size = high - low
-    everything = fields.box(_rounded(1.2 * size), _rounded(0.5 * (low + high)))
+    middle = _rounded(0.5 * (low + high), float(size.max()))
+    everything = fields.box(_rounded(1.2 * size), middle)
     return everything if region is None else fields.difference(everything, region)
 
 
@@ -135,16 +157,22 @@ def in_rectangle(
 
 def _seen(vertices, faces, eye, chosen) -> Mask:
     """Whether nothing is between the eye and some vertices."""
+    ways = vertices - eye
+    found = _cast(ways, faces, np.zeros_like(ways[chosen]), ways[chosen])
+    # Of a ray to a vertex, its own faces are hit at 1; rounding in float32 is far below this.
+    return found["t_hit"].numpy() > 1.0 - 1e-4
+
+
+def _cast(vertices, faces, origins, directions):
+    """First hits of rays (n, 3), all given from somewhere near, for float32 to be enough."""
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
+        o3d.core.Tensor(np.asarray(vertices, np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
     )
-    ways = vertices[chosen] - eye
-    rays = np.concatenate([np.broadcast_to(eye, ways.shape), ways], axis=1).astype(np.float32)
-    hit = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
-    return hit > 1.0 - 1e-3
+    rays = np.concatenate([origins, directions], axis=1).astype(np.float32)
+    return scene.cast_rays(o3d.core.Tensor(rays))
 
 
 def part_of(faces: NDArray[np.int64], mask: Mask) -> Mask:
@@ -159,30 +187,55 @@ def covering(vertices: NDArray[np.float64], mask: Mask) -> Field:
     """A union of balls that holds the chosen vertices (n, 3) and none of the others.
 
     Raises:
-        InputError: no vertex is chosen.
+        InputError: no vertex is chosen, or so scattered ones that balls cannot keep them apart
+            from the others.
     """
     if not mask.any():
         raise InputError("selection", 0, "there is nothing in it", "pick a larger area")
-    inside, outside = vertices[mask], vertices[~mask]
-    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    largest = 0.1 * size
-    room = np.full(len(inside), largest)
-    if len(outside):
-        room = np.minimum(0.95 * cKDTree(outside).query(inside)[0], largest)
+    inside = vertices[mask]
+    centers, radii = _roomiest(inside, vertices[~mask], float(np.ptp(vertices, axis=0).max()))
     tree = cKDTree(inside)
     left = np.ones(len(inside), np.bool_)
     balls = []
-    # The roomiest first, so that few are needed; at the border they are as small as the mesh.
-    for i in np.argsort(-room, kind="stable"):
+    # The largest first, so that few are needed; at the border they are as small as the mesh.
+    for i in np.argsort(-radii, kind="stable"):
         if not left[i]:
             continue
-        reach = max(float(room[i]), 1e-6 * size)
-        balls.append(ball(inside[i], reach))
-        left[tree.query_ball_point(inside[i], 0.999 * reach)] = False
-        left[i] = False
         if len(balls) == MOST_BALLS:
-            break
+            raise InputError(
+                "selection",
+                int(mask.sum()),
+                f"its vertices are too scattered: {MOST_BALLS} balls do not cover them",
+                "pick one area at a time, or a larger one",
+            )
+        balls.append(ball(centers[i], radii[i]))
+        left[tree.query_ball_point(centers[i], (1.0 - 1e-5) * radii[i])] = False
+        left[i] = False
     return reduce_union(balls)
+
+
+def _roomiest(inside, outside, size):
+    """For each point inside, the centre and radius of a large ball that holds it and no outside
+    ones: about itself, or about a point further from the nearest one outside."""
+    centers, radii = inside.copy(), np.full(len(inside), 0.1 * size)
+    if not len(outside):
+        return centers, radii
+    others = cKDTree(outside)
+    room, nearest = others.query(inside)
+    radii = np.minimum(0.9 * room, radii)
+    away = inside - outside[nearest]
+    for factor in (1.0, 3.0, 9.0, 27.0):
+        tried = np.flatnonzero((factor * room < 0.1 * size) & (room > 0.0))
+        shift = factor * room[tried]
+        middle = inside[tried] + factor * away[tried]
+        gap = others.query(middle)[0] - shift
+        # A gap much smaller than the ball would be lost when its numbers are rounded.
+        better = gap > 1e-3 * shift
+        tried, middle = tried[better], middle[better]
+        centers[tried] = middle
+        radii[tried] = shift[better] + 0.9 * gap[better]
+    # Two vertices in one place, one chosen and one not, cannot be told apart.
+    return centers, np.maximum(radii, 1e-6 * size)
 
 
 def reduce_union(parts: list[Field]) -> Field:
@@ -196,15 +249,9 @@ def picked_point(
     rest: trimesh.Trimesh, shown: NDArray[np.float64], origin: ArrayLike, direction: ArrayLike
 ) -> NDArray[np.float64] | None:
     """(3,) where at rest a ray first meets the mesh as shown (n, 3); None if it passes by."""
-    import open3d as o3d
-
-    scene = o3d.t.geometry.RaycastingScene()
     faces = np.asarray(rest.faces)
-    scene.add_triangles(
-        o3d.core.Tensor(np.asarray(shown, np.float32)), o3d.core.Tensor(faces.astype(np.uint32))
-    )
-    ray = np.concatenate([np.asarray(origin), np.asarray(direction)]).astype(np.float32)
-    found = scene.cast_rays(o3d.core.Tensor(ray[None]))
+    start = np.asarray(origin, np.float64)
+    found = _cast(shown - start, faces, np.zeros((1, 3)), np.asarray(direction)[None])
     if not np.isfinite(found["t_hit"].numpy()[0]):
         return None
     u, v = found["primitive_uvs"].numpy()[0].astype(np.float64)
@@ -212,8 +259,14 @@ def picked_point(
     return np.array([1.0 - u - v, u, v]) @ corners
 
 
-def _rounded(values: ArrayLike):
-    """Numbers, or one, as they are written: to `DIGITS` significant digits."""
+def _rounded(values: ArrayLike, unit: float = 0.0):
+    """Numbers, or one, as they are written: to `DIGITS` significant digits, and no less than to
+    those of a unit (a shape may lie far from the origin)."""
     array = np.asarray(values, np.float64)
-    short = [float(f"{value:.{DIGITS}g}") for value in array.reshape(-1)]
+    short = []
+    for value in array.reshape(-1):
+        digits = DIGITS
+        if unit > 0.0 and abs(value) > unit:
+            digits += int(np.ceil(np.log10(abs(value) / unit)))
+        short.append(float(f"{value:.{min(digits, 17)}g}"))
     return short[0] if array.ndim == 0 else tuple(short)

@@ -8,7 +8,7 @@ change.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -154,8 +154,9 @@ class EditSession:
             return self._states[self._at]
 
     def listen(self, listener: Callable[[EditState], None]) -> None:
-        """Call this after every change, in the thread that made it."""
-        self._listeners.append(listener)
+        """Call this after every change, in the thread that made it and in the changes' order."""
+        with self._lock:
+            self._listeners.append(listener)
 
     def change(self, how: Callable[[EditState], EditState], merge: str | None = None) -> EditState:
         """From one state to the next, which can be undone.
@@ -188,14 +189,15 @@ class EditSession:
 
     def reset(self) -> EditState:
         """Nothing moves; the regions stay. Can be undone."""
-        return self.change(
-            lambda s: replace(
-                s,
-                handles=tuple(
-                    replace(h, rotvec=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)) for h in s.handles
-                ),
-            )
-        )
+        none = (0.0, 0.0, 0.0)
+
+        def at_rest(state: EditState) -> EditState:
+            if all(h.rotvec == none and h.shift == none for h in state.handles):
+                return state
+            handles = tuple(replace(h, rotvec=none, shift=none) for h in state.handles)
+            return replace(state, handles=handles)
+
+        return self.change(at_rest)
 
     def _go(self, way: int) -> EditState:
         with self._lock:
@@ -207,10 +209,16 @@ class EditSession:
             return self._told()
 
     def _told(self) -> EditState:
+        """Tell all listeners, also after one that raises; its error comes when all know."""
         self.revision += 1
-        state = self.state
+        state, errors = self.state, []
         for listener in self._listeners:
-            listener(state)
+            try:
+                listener(self.state)  # one before it may have made another change
+            except Exception as error:  # noqa: BLE001 - raised below
+                errors.append(error)
+        if errors:
+            raise errors[0]
         return state
 
 
@@ -227,6 +235,14 @@ def solve_handles(state: EditState, amount: float = 1.0) -> list[Handle]:
     return [handle.handle(amount) for handle in state.handles]
 
 
+def same_task(first: Sequence[Handle], second: Sequence[Handle]) -> bool:
+    """Do two lists of handles ask a solve for the same map?"""
+    return len(first) == len(second) and all(
+        a.region is b.region and a.weight == b.weight and dict(a.words) == dict(b.words)
+        for a, b in zip(first, second, strict=True)
+    )
+
+
 def save_edit(state: EditState, path: str | Path, solve: dict | None = None) -> None:
     """Write the handle file that `implicit-warp deform` reads."""
     save_handles(path, solve_handles(state), solve)
@@ -238,8 +254,15 @@ def load_edit(path: str | Path, vertices: np.ndarray) -> tuple[EditState, dict]:
     Args:
         path: the handle file.
         vertices: (n, 3) of the shape at rest; pivots go to the middle of those selected.
+
+    Raises:
+        InputError: see `load_handles`; two handles have one name.
     """
     handles, options = load_handles(path)
+    names = [handle.name for handle in handles]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError("handles", twice, "two handles have this name", "name them apart")
     edits = []
     for handle in handles:
         picked = vertices[np.asarray(handle.region(vertices)) <= 0]

@@ -135,6 +135,27 @@ def test_one_package_for_two_libraries_is_asked_for_once():
     assert system.packages_of(twice) == ["libgl1"]
 
 
+@pytest.mark.parametrize(("privileges", "installs"), [(ROOT, True), (USER, True), (ROOT, False)])
+def test_a_browser_is_installed_where_that_is_possible_and_missed_otherwise(
+    monkeypatch, privileges, installs
+):
+    machine = Machine(absent={"chromium"}, installs=installs)
+    monkeypatch.setattr(system, "browser_exists", lambda: machine.loads("chromium"))
+    monkeypatch.setattr(system, "current_privileges", lambda: privileges)
+    monkeypatch.setattr(system.subprocess, "call", machine.run)
+    monkeypatch.setattr(system, "_say", machine.said.append)
+    monkeypatch.setattr(system.sys, "platform", "linux")
+    assert system.provide_browser() == 0
+    assert bool(machine.commands) == privileges.root
+    found = machine.loads("chromium")
+    assert found == (privileges.root and installs)
+    assert ("skipped" in machine.said[-1]) != found
+    said = len(machine.said)
+    if found:
+        assert system.provide_browser() == 0
+        assert len(machine.said) == said
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="probes the ELF loader")
 def test_the_real_probe_tells_present_from_absent():
     assert system.library_loads("libc.so.6")

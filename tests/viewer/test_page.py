@@ -1,0 +1,193 @@
+"""The editor, from opening it to a checked mesh, with real mouse events."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from implicit_warp.checking import check
+from implicit_warp.cli import main
+from implicit_warp.files import load
+from implicit_warp.mesh_files import read_mesh
+from tests.viewer.conftest import EXAMPLES
+from tests.viewer.driver import Tab, seen_vertex, until
+
+LEFT, RIGHT = (-1.5, -0.55), (1.5, -0.5)
+
+
+def test_from_the_command_to_an_exported_bent_part_in_six_actions(browser, editor, tmp_path):
+    tab = Tab(browser, editor)
+    before = tab.picture()
+    # 1 and 2: click one end and hold it.
+    tab.click_shape(seen_vertex(editor, *LEFT))
+    until(lambda: editor.session.state.selection is not None, "the brush picks")
+    tab.press("Hold what is picked")
+    until(lambda: len(editor.session.state.handles) == 1, "it is held")
+    # 3 and 4: click the other end and move it.
+    tab.click_shape(seen_vertex(editor, *RIGHT))
+    until(lambda: editor.session.state.selection is not None, "the brush picks again")
+    tab.press("Move what is picked")
+    until(lambda: editor.session.state.active == "moved 1", "it gets a gizmo")
+    assert editor.solver.wait()
+    tab.settle()
+    # 5: drag the gizmo's upward arrow.
+    tab.drag_arrow((0, -80))
+    until(lambda: len(editor.drags) > 3, "the shape follows")
+    moved = np.abs(editor.shown.vertices - editor.source.preview.vertices).max()
+    assert moved > 0.02 * editor.size
+    assert tab.picture() != before
+    tab.drop_and_solve()
+    shift = editor.session.state.get("moved 1").shift
+    assert shift[2] > 0.05 * editor.size
+    assert np.allclose(shift[:2], 0, atol=1e-6)  # along the arrow
+    assert editor.final.handle_error < 0.02 * editor.size
+    # 6: export.
+    editor.panel.resolution.value = 48
+    tab.press("Export the mesh")
+    path = tmp_path / "part-deformed.stl"
+    until(path.exists, "the file is written")
+    tab.notice("watertight")
+    report = check(path)
+    report.raise_if_bad(0)
+    assert list(report.topology.genus) == [3]
+
+    # The handle file gives the same map on the command line, and the same mesh.
+    tab.press("Handles")
+    toml = tmp_path / "part-deformed.toml"
+    until(toml.exists, "the handle file is written")
+    again = tmp_path / "again.stl"
+    steps = ["--steps", "150", "--layers", "12", "--resolution", "48"]
+    toml.write_text(toml.read_text() + "\n[solve]\nresolution = 9\n")
+    part = str(EXAMPLES / "demo" / "part.py")
+    assert main(["deform", part, "--handles", str(toml), "-o", str(again), *steps]) == 0
+    replayed = load(again.with_suffix(".safetensors"))
+    points = np.asarray(editor.source.preview.vertices)
+    np.testing.assert_allclose(replayed(points), editor.final.warp(points), atol=1e-9)
+    a, b = read_mesh(path), read_mesh(again)
+    np.testing.assert_allclose(a.vertices, b.vertices, atol=1e-5)
+    assert np.isfinite(list(editor.drags)).all()
+
+
+def test_a_rectangle_picks_what_is_seen_and_can_be_undone(browser, editor):
+    tab = Tab(browser, editor)
+    corners = tab.on_screen((-1.8, -0.9, 0.0)), tab.on_screen((-1.2, 0.8, 0.9))
+    low, high = np.minimum(*corners), np.maximum(*corners)
+    tab.page.keyboard.down("Shift")
+    tab.drag(low, high - low)
+    tab.drop()
+    tab.page.keyboard.up("Shift")
+    until(lambda: editor.session.state.selection is not None, "the rectangle picks")
+    tab.notice("of the surface is picked")
+    tab.press("Undo")
+    until(lambda: editor.session.state.selection is None, "it is undone")
+    tab.press("Redo")
+    until(lambda: editor.session.state.selection is not None, "it is redone")
+    tab.press("Clear")
+    until(lambda: editor.session.state.selection is None, "it is cleared")
+
+
+def test_mistakes_are_told_in_the_page(browser, editor, tmp_path):
+    tab = Tab(browser, editor)
+    tab.press("Hold what is picked")
+    tab.notice("nothing is picked")
+    assert not editor.session.state.handles
+    for name, cause in (
+        ("../out.stl", "outside of the working folder"),
+        ("part.xyz", "cannot write"),
+    ):
+        editor.panel.file.value = name
+        tab.press("Export the mesh")
+        tab.notice(cause)
+    assert not (tmp_path.parent / "out.stl").exists()
+    # Two handles that want the same points elsewhere.
+    for press in ("Hold what is picked", "Move what is picked"):
+        tab.click_shape(seen_vertex(editor, *LEFT))
+        until(lambda: editor.session.state.selection is not None, "the brush picks")
+        tab.press(press)
+        until(lambda: editor.session.state.selection is None, "it is a handle")
+    editor.solver.wait()
+    tab.settle()
+    tab.drag_arrow((0, -60))
+    tab.drop()
+    tab.notice("contradict each other")
+
+
+def test_two_tabs_share_one_edit_and_closing_one_in_a_solve_harms_nothing(browser, editor):
+    one, two = Tab(browser, editor), Tab(browser, editor, (1100, 700))
+    one.click_shape(seen_vertex(editor, *LEFT))
+    until(lambda: editor.session.state.selection is not None, "the first tab picks")
+    two.notice("of the surface is picked")
+    two.press("Hold what is picked")
+    until(lambda: editor.session.state.handles, "the second tab holds it")
+    two.click_shape(seen_vertex(editor, *RIGHT))
+    until(lambda: editor.session.state.selection is not None, "the second tab picks")
+    one.press("Move what is picked")
+    until(lambda: editor.session.state.active == "moved 1", "the first tab moves it")
+    editor.solver.wait()
+    one.settle()
+    one.drag_arrow((0, -50))
+    one.page.close()  # in the middle of the drag
+    until(lambda: len(editor.server.get_clients()) == 1, "the first tab is gone")
+    two.press("Undo")
+    until(lambda: editor.session.state.get("moved 1").shift == (0.0, 0.0, 0.0), "it is undone")
+    two.press("Redo")
+    until(lambda: editor.session.state.get("moved 1").shift[2] > 0, "and redone")
+    until(lambda: editor.final is not None, "the solve ends")
+
+
+def test_a_drag_during_a_solve_takes_its_place(browser, editor):
+    tab = Tab(browser, editor)
+    for place, press in ((LEFT, "Hold what is picked"), (RIGHT, "Move what is picked")):
+        tab.click_shape(seen_vertex(editor, *place))
+        until(lambda: editor.session.state.selection is not None, "the brush picks")
+        tab.press(press)
+        until(lambda: editor.session.state.selection is None, "it is a handle")
+    editor.solver.wait()
+    tab.settle()
+    tab.drag_arrow((0, -50))
+    tab.drop()
+    first = editor.session.state.get("moved 1").shift[2]
+    tab.drag_arrow((0, -40))  # the solve for the first one is running
+    tab.drop_and_solve()
+    assert editor.session.state.get("moved 1").shift[2] > first
+    target = editor.session.state.get("moved 1").handle().motion
+    region = editor.session.state.get("moved 1").region
+    points = np.asarray(editor.source.preview.vertices)
+    points = points[region(points) <= 0]
+    error = np.sqrt(((editor.final.warp(points) - target(points)) ** 2).sum(axis=1).mean())
+    assert error < 0.02 * editor.size
+
+
+def test_a_script_that_changes_is_shown_and_a_broken_one_is_told_of(browser, tmp_path):
+    from implicit_warp.viewer.page import Editor
+
+    script = tmp_path / "ball.py"
+    script.write_text("import fields as sdf\nshape = sdf.sphere(1)\n")
+    editor = Editor(script, port=8320, folder=tmp_path)
+    try:
+        tab = Tab(browser, editor)
+        script.write_text("import fields as sdf\nshape = sdf.box((1, 2, 3))\n")
+        until(lambda: abs(np.ptp(editor.shown.vertices[:, 2]) - 3) < 0.1, "the box is shown")
+        script.write_text("shape = 1 / 0\n")
+        tab.notice("the script failed")
+        assert abs(np.ptp(editor.shown.vertices[:, 2]) - 3) < 0.1
+    finally:
+        editor.close()
+
+
+def test_a_wrong_file_is_refused_before_anything_is_served(tmp_path, capsys):
+    assert main(["view", str(tmp_path / "nothing.py")]) == 2
+    assert "there is no such file" in capsys.readouterr().err
+    (tmp_path / "handles.toml").write_text("[[handle]]\nregion = 3\n")
+    part = str(EXAMPLES / "demo" / "part.py")
+    assert main(["view", part, "--handles", str(tmp_path / "handles.toml")]) == 2
+
+
+@pytest.mark.parametrize("extra", ["Stretch"])
+def test_distortion_is_shown(browser, editor, extra):
+    tab = Tab(browser, editor)
+    before = tab.picture()
+    editor.panel.colour.value = extra
+    editor._recolour()
+    tab.settle(1.5)
+    assert tab.picture() != before
