@@ -267,7 +267,8 @@ class Editor:
 
     def _paint_distortion(self) -> None:
         warp = None if self.last is None else self.last.warp
-        low, high = self.shown.paint_distortion(warp, self.panel.colours)
+        handles = [h.handle(self._amount) for h in self.session.state.handles]
+        low, high = self.shown.paint_distortion(warp, self.panel.colours, handles)
         self.panel.show_scale(low, high)
 
     # --- controls ---
@@ -300,6 +301,8 @@ class Editor:
         p.contacts.on_click(safe(lambda e: self._show_contacts()))
         p.section.on_update(safe(lambda e: self._show_section()))
         p.section_at.on_update(safe(lambda e: self._show_section()))
+        p.layer.on_update(safe(lambda e: self._show_layer()))
+        p.film.on_click(safe(lambda e: self._film(e.target.value, e.client)))
         p.export.on_click(safe(self._export))
         p.save.on_click(safe(lambda e: self._save(e.target.value, e.client)))
 
@@ -480,11 +483,23 @@ class Editor:
     def _recolour(self) -> None:
         if self.panel.colours == PLAIN:
             self.panel.show_scale(None, None)
-            self.shown._clear()
-            self.shown._key = None
-            self.shown.paint(self.session.state)
+            self.shown.repaint(self.session.state)
         else:
             self._paint_distortion()
+
+    def _show_layer(self) -> None:
+        """The 2D mesh of one layer of the map, in its plane."""
+        from implicit_warp.layer_pictures import layer_segments
+
+        self.server.scene.remove_by_name("/layer")
+        number = int(self.panel.layer.value)
+        if number == 0 or self.last is None:
+            return
+        number = min(number, self.last.warp.n_layers)
+        self.server.scene.add_line_segments(
+            "/layer", layer_segments(self.last.warp, number).astype(np.float32),
+            np.array((52, 96, 150)), line_width=1.5,
+        )  # fmt: skip
 
     def _show_ghost(self) -> None:
         rest = self.source.preview
@@ -516,8 +531,8 @@ class Editor:
 
     def _show_section(self) -> None:
         """Iso-lines of the warped field in a plane."""
+        from implicit_warp.cross_sections import as_segments, iso_lines
         from implicit_warp.deformation import deform
-        from implicit_warp.slices import contours, slice_values
 
         self.server.scene.remove_by_name("/section")
         axis = self.panel.section.value
@@ -529,18 +544,16 @@ class Editor:
         low, high = np.asarray(field.bounds)
         number = "xyz".index(axis)
         at = low[number] + self.panel.section_at.value * (high[number] - low[number])
-        found = slice_values(field, (axis, float(at)), resolution=96)
         step = 0.04 * self.size
-        for k in range(-2, 5):
-            lines = contours(found, k * step)
-            if not lines:
-                continue
-            ends = np.concatenate([np.stack([a[:-1], a[1:]], axis=1) for a in lines])
+        levels = {k * step: k for k in range(-2, 5)}
+        for level, lines in iso_lines(field, (axis, float(at)), tuple(levels), 96).items():
+            k = levels[level]
             colour = (20, 20, 20) if k == 0 else (70, 110, 170) if k < 0 else (190, 120, 70)
-            self.server.scene.add_line_segments(
-                f"/section/{k + 2}", found.frame.in_space(ends).astype(np.float32),
-                np.array(colour), line_width=4.0 if k == 0 else 1.5,
-            )  # fmt: skip
+            if lines:
+                self.server.scene.add_line_segments(
+                    f"/section/{k + 2}", as_segments(lines).astype(np.float32), np.array(colour),
+                    line_width=4.0 if k == 0 else 1.5,
+                )  # fmt: skip
 
     # --- files ---
 
@@ -591,6 +604,30 @@ class Editor:
             save(warp, path)
         else:
             self._picture(path)
+        self.panel.show_export(1.0, f"wrote {path.name}")
+        client.send_file_download(path.name, path.read_bytes())
+
+    def _film(self, what: str, client: Any) -> None:
+        """A turn around the shape as it is shown, or its way from rest and back."""
+        import trimesh
+
+        from implicit_warp.film_files import write_film
+        from implicit_warp.films import animation, turntable
+        from implicit_warp.morph import Morph
+
+        stem = Path(self.panel.file.value.strip() or "edit").stem
+        path = inside(self.folder, f"{stem}-{what.lower()}.mp4", (".mp4",))
+        rest = self.source.preview
+        if what == "Turntable":
+            now = trimesh.Trimesh(self.shown.vertices, np.asarray(rest.faces), process=False)
+            film = turntable(now)
+        elif self.last is None:
+            raise InputError("film", what, "nothing is moved yet", "move a handle first")
+        else:
+            self.solver.wait(120)
+            film = animation(rest, Morph((self.final or self.last).warp))
+        self.panel.show_export(0.0)
+        write_film(film, path, lambda done, total, text: self.panel.show_export(done / total))
         self.panel.show_export(1.0, f"wrote {path.name}")
         client.send_file_download(path.name, path.read_bytes())
 

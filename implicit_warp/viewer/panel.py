@@ -81,12 +81,17 @@ class Panel:
             self.ghost = gui.add_checkbox("Rest shape", False)
             self.section = gui.add_dropdown("Section", ("None", "x", "y", "z"))
             self.section_at = gui.add_slider("At", min=0.0, max=1.0, step=0.01, initial_value=0.5)
+            self.layer = gui.add_slider(
+                "Layer", min=0, max=64, step=1, initial_value=0,
+                hint="The 2D mesh of one layer of the map; 0 for none",
+            )  # fmt: skip
             self.contacts = gui.add_button("Find self-intersections")
         with gui.add_folder("5  Export"):
             self.file = gui.add_text("File", f"{stem}-deformed.stl")
             self.resolution = gui.add_number("Voxels", 192, min=16, max=1024, step=1)
             self.export = gui.add_button("Export the mesh", color=(52, 96, 150))
             self.save = gui.add_button_group("Or save", ("Handles", "Warp", "Picture"))
+            self.film = gui.add_button_group("Film", ("Turntable", "Animation"))
             self._bar = gui.add_progress_bar(0.0, visible=False)
             self._said = gui.add_markdown("", visible=False)
 

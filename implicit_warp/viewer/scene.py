@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+import threading
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +13,8 @@ from numpy.typing import NDArray
 
 from implicit_warp.affine import Affine
 from implicit_warp.color_scales import color_scale
-from implicit_warp.distortion import measure_distortion
+from implicit_warp.distortion import handle_distance, measure_distortion
+from implicit_warp.handles import Handle
 from implicit_warp.maps import Map
 from implicit_warp.pipeline import PALETTE
 from implicit_warp.viewer.regions import selected
@@ -21,7 +25,7 @@ if TYPE_CHECKING:
 
 BODY, PICKED = (208, 206, 200), (252, 196, 60)
 
-QUANTITY = {"Stretch": "stretch", "Volume": "det", "Energy": "energy"}
+QUANTITY = {"Stretch": "stretch", "Volume": "det", "Energy": "energy", "Handle error": "error"}
 """The quantities by their names in the page."""
 
 PLAIN, COLOURS = "Handles", ("Handles", *QUANTITY)
@@ -79,6 +83,17 @@ def set_stage(server: viser.ViserServer, bounds: NDArray[np.float64]) -> None:
     )
 
 
+def _alone(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Only one thread at a time: the solver moves what a click may be colouring anew."""
+
+    @functools.wraps(method)
+    def guarded(self: Shown, *arguments: Any) -> Any:
+        with self._lock:
+            return method(self, *arguments)
+
+    return guarded
+
+
 class Shown:
     """The preview mesh in the page, in parts of one colour each.
 
@@ -87,7 +102,7 @@ class Shown:
     """
 
     def __init__(self, server: viser.ViserServer, rest: trimesh.Trimesh) -> None:
-        self._server = server
+        self._server, self._lock = server, threading.RLock()
         self._parts: dict[str, tuple[Any, NDArray[np.int64]]] = {}
         self._key: Any = None
         self.set_rest(rest)
@@ -98,6 +113,7 @@ class Shown:
         self.vertices = np.asarray(rest.vertices, np.float32)
         self._faces = np.asarray(rest.faces)
 
+    @_alone
     def paint(self, state: EditState) -> None:
         """Colour the mesh by its handles and the selection."""
         shown = [(h.name, h.region) for h in state.handles if h.visible]
@@ -130,10 +146,17 @@ class Shown:
                 )  # fmt: skip
                 self._parts[name] = (node, used)
 
-    def paint_distortion(self, map: Map | None, quantity: str) -> tuple[float, float]:
+    @_alone
+    def paint_distortion(
+        self, map: Map | None, quantity: str, handles: Sequence[Handle]
+    ) -> tuple[float, float]:
         """Colour the mesh by what a map does; returns the values of both ends of the scale."""
         name = QUANTITY[quantity]
-        values = measure_distortion(map or Affine(), self.rest.vertices).quantity(name)
+        at_rest = np.asarray(self.rest.vertices)
+        if name == "error":
+            values = handle_distance(map or Affine(), handles, at_rest)[0]
+        else:
+            values = measure_distortion(map or Affine(), at_rest).quantity(name)
         scale = color_scale(name, values)
         colours = scale(values)
         mesh = trimesh.Trimesh(self.vertices, self._faces, vertex_colors=colours, process=False)
@@ -143,6 +166,7 @@ class Shown:
         self._parts["distortion"] = (None, np.empty(0, np.int64))
         return scale.low, scale.high
 
+    @_alone
     def move(self, vertices: NDArray[np.float32]) -> None:
         """Put the mesh elsewhere, as it is coloured."""
         self.vertices = vertices
@@ -150,6 +174,12 @@ class Shown:
             for node, used in self._parts.values():
                 if node is not None:
                     node.vertices = vertices[used]
+
+    @_alone
+    def repaint(self, state: EditState) -> None:
+        """Colour the mesh by its handles, whatever it shows now."""
+        self._key = None
+        self.paint(state)
 
     def _held_by(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return mask[self._faces].sum(axis=1) >= 2
