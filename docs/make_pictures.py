@@ -20,6 +20,9 @@ WIDTH = 1280
 
 def make(name: str, folder: Path) -> None:
     """Solve one example and put its picture into docs/pictures."""
+    if name == "bend":
+        _bend(folder, DOCS / "pictures/bend.gif")
+        return
     if name == "learned":
         code = runpy.run_path(str(EXAMPLES / "learned/run.py"))["run"](folder)
         picture = folder / "learned.png"
@@ -29,6 +32,12 @@ def make(name: str, folder: Path) -> None:
     elif name == "section":
         picture = folder / "section.png"
         code = _section(folder, picture)
+    elif name == "layers":
+        picture = folder / "layers.png"
+        code = _demo_render(folder, "--layers", str(picture))
+    elif name == "distortion":
+        picture = folder / "distortion.png"
+        code = _distortion(folder, picture)
     else:
         run = runpy.run_path(str(EXAMPLES / "standard/run.py"))["run"]
         code = run(name, folder, "--resolution", "256")
@@ -49,16 +58,61 @@ def _section(folder: Path, picture: Path) -> int:
     return code or main(arguments)
 
 
+def _demo_render(folder: Path, *options: str) -> int:
+    """The demo's part under its warp, drawn by `implicit-warp render`."""
+    from implicit_warp.cli import main
+
+    demo, warp = EXAMPLES / "demo", folder / "warp.safetensors"
+    if not warp.exists():
+        code = runpy.run_path(str(demo / "run.py"))["run"](folder, "--resolution", "64")
+        if code:
+            return code
+    return main(["render", f"{demo}/part.py", "--warp", str(warp), *options])
+
+
+def _distortion(folder: Path, picture: Path) -> int:
+    """A twisted bar by its stretch, and the bent part cut open, by its elastic energy."""
+    import numpy as np
+    from PIL import Image
+
+    from implicit_warp.cli import main
+
+    left, right, size = folder / "left.png", folder / "right.png", ("--size", "960x800")
+    run = runpy.run_path(str(EXAMPLES / "standard/run.py"))["run"]
+    code = run("bar", folder, "--resolution", "64")
+    bar = ("--warp", f"{folder}/bar.safetensors", "--color", "stretch", "--resolution", "200")
+    code = code or main(["render", f"{EXAMPLES}/standard/bar.py", *bar, "-o", str(left), *size])
+    cut = ("--section", "y=0", "--color", "energy")
+    code = code or _demo_render(folder, "-o", str(right), *cut, *size)
+    if not code:
+        halves = [np.asarray(Image.open(half)) for half in (left, right)]
+        Image.fromarray(np.concatenate(halves, axis=1)).save(picture)
+    return code
+
+
+def _bend(folder: Path, film: Path) -> None:
+    """The demo's part on its way from rest to bent and back."""
+    handles = ("--handles", f"{EXAMPLES}/demo/handles.toml")
+    look = ("--size", "480x360", "--seconds", "3.2", "--fps", "15")
+    code = _demo_render(folder, *handles, "--animate", str(film), *look)
+    if code:
+        sys.exit(f"bend: exit code {code}")
+
+
 def _reduce(source: Path, target: Path) -> None:
     from PIL import Image
 
     with Image.open(source) as image:
         height = round(image.height * WIDTH / image.width)
-        image.resize((WIDTH, height), Image.Resampling.LANCZOS).save(target, optimize=True)
+        small = image.convert("RGB").resize((WIDTH, height), Image.Resampling.LANCZOS)
+        if target.stem == "layers":  # few colours and many lines: a palette is a third as large
+            small = small.quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=2, dither=0)
+        small.save(target, optimize=True)
 
 
 if __name__ == "__main__":
     names = ("demo", "section", "bar", "cylinder", "plate", "cactus", "learned")
+    names += ("layers", "distortion", "bend")
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", choices=[*names, []])
     with tempfile.TemporaryDirectory() as temporary:
