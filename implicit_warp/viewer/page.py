@@ -66,6 +66,7 @@ class Editor:
     Args:
         shape: the file to edit.
         handles: a handle file to begin with.
+        warp: a saved map, under which the shape is edited.
         host, port: where to listen.
         folder: where files are written.
         options: of the full solve.
@@ -76,6 +77,7 @@ class Editor:
         shape: str | Path,
         handles: str | Path | None = None,
         *,
+        warp: str | Path | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
         folder: str | Path = ".",
@@ -83,7 +85,7 @@ class Editor:
     ) -> None:
         viser = import_viser()
         self.folder = Path(folder).resolve()
-        self.source = ShapeSource(shape)
+        self.source = ShapeSource(shape, warp)
         self._sources = (self.source.path,)
         state, solve = EditState(), {}
         if handles is not None:

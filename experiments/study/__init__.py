@@ -1,0 +1,1 @@
+"""What the paper's experiments share: jobs that resume, measurements, statistics, tables, plots."""
