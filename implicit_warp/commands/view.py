@@ -26,6 +26,9 @@ class View(Common):
     """Field script (.py), learned field (.safetensors), volume or mesh file."""
     handles: Path | None = None
     """Handle file (.toml) to begin with."""
+    warp: Path | None = None
+    """Saved map (.safetensors) under which the shape is edited; the handle file that is saved then
+    belongs to the deformed shape."""
     host: str = "127.0.0.1"
     """Address to listen on; others than this one let other machines in, without a password."""
     port: int = 8080
@@ -39,7 +42,7 @@ class View(Common):
 
         if not 0 < self.port < 65536:
             raise InputError("port", self.port, "not a port", "pass 1024 to 65535")
-        editor = Editor(self.shape, self.handles, host=self.host, port=self.port)
+        editor = Editor(self.shape, self.handles, warp=self.warp, host=self.host, port=self.port)
         say(f"the editor is at {editor.url} (Ctrl-C ends it)")
         if self.browser:
             webbrowser.open(editor.url)

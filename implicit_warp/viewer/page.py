@@ -9,6 +9,7 @@ import contextlib
 import threading
 import time
 from collections import deque
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,7 @@ class Editor:
     Args:
         shape: the file to edit.
         handles: a handle file to begin with.
+        warp: a saved map, under which the shape is edited.
         host, port: where to listen.
         folder: where files are written.
         options: of the full solve.
@@ -76,6 +78,7 @@ class Editor:
         shape: str | Path,
         handles: str | Path | None = None,
         *,
+        warp: str | Path | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
         folder: str | Path = ".",
@@ -83,13 +86,14 @@ class Editor:
     ) -> None:
         viser = import_viser()
         self.folder = Path(folder).resolve()
-        self.source = ShapeSource(shape)
-        self._sources = (self.source.path,)
+        self.source = ShapeSource(shape, warp)
+        self._sources = (self.source.path, None if warp is None else Path(warp))
         state, solve = EditState(), {}
         if handles is not None:
             state, solve = load_edit(handles, np.asarray(self.source.preview.vertices))
-        self._solve_table = solve
         options = options or ElasticOptions.from_mapping(solve)
+        usual = asdict(ElasticOptions())
+        self._solve_table = {k: v for k, v in asdict(options).items() if v != usual[k]}
         self.session = EditSession(state)
         self.autosave = Autosave(self.session, self.source.path, self.folder)
         self.drags: deque[float] = deque(maxlen=1000)
@@ -402,7 +406,9 @@ class Editor:
             return _replace(state.with_handle(handle), selection=None)
 
         state = self.session.change(change)
-        if any(not h.held for h in state.handles):
+        if state.displaced:  # with one more handle, what is shown is not the result any more
+            self.solver.solve(solve_handles(state, self._amount))
+        else:
             self.solver.prepare(solve_handles(state))
 
     def _activate(self, event: Any) -> None:

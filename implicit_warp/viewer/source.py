@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fields import Field
+from implicit_warp.deformation import deform
 from implicit_warp.errors import InputError
+from implicit_warp.files import load
 from implicit_warp.shapes import load_shape
 
 if TYPE_CHECKING:
@@ -20,19 +22,24 @@ _FIRST_RESOLUTION = 64
 
 
 class ShapeSource:
-    """A shape from a file that the command line takes.
+    """A shape from a file that the command line takes, as it is or under a saved map.
+
+    Args:
+        path: the file.
+        warp: a file with a map, under which the shape is edited.
 
     Attributes:
         path: the file.
-        field: its shape.
+        field: its shape, under the map if there is one.
         preview: a mesh of the shape at rest, coarse enough to follow a drag.
 
     Raises:
         InputError, FileFormatError: see `load_shape`; a shape without bounds.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, warp: str | Path | None = None) -> None:
         self.path = Path(path)
+        self._map = None if warp is None else load(warp)
         self._digest = b""
         self.field: Field
         self.preview: trimesh.Trimesh
@@ -47,6 +54,8 @@ class ShapeSource:
         digest = self._now()
         self._digest = digest  # also of a broken file: it is reported once
         field = load_shape(self.path)
+        if self._map is not None:
+            field = deform(field, self._map)
         preview = preview_mesh(field)
         self.field, self.preview = field, preview
 

@@ -370,3 +370,15 @@ def test_events_that_the_program_made_itself_are_left_out():
     event = types.SimpleNamespace(client=Tab())
     act(event)
     assert called == [event]
+
+
+def test_a_shape_is_edited_under_a_saved_map(tmp_path):
+    script, path = tmp_path / "ball.py", tmp_path / "shift.safetensors"
+    script.write_text("import fields as sdf\nshape = sdf.sphere(1)\n")
+    iw.save(iw.Affine.from_matrix(np.eye(3, 4) + np.array([0, 0, 0, 2.0])), path)
+    plain, shifted = ShapeSource(script), ShapeSource(script, path)
+    np.testing.assert_allclose(
+        shifted.preview.vertices.mean(axis=0), plain.preview.vertices.mean(axis=0) + 2.0, atol=0.02
+    )
+    with pytest.raises(InputError):
+        ShapeSource(script, tmp_path / "missing.safetensors")
