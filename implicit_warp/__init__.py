@@ -35,8 +35,10 @@ _HOME = {
     "FitReport": "fitting",
     "Handle": "handles",
     "InputError": "errors",
+    "Look": "films",
     "Map": "maps",
     "MissingDependency": "errors",
+    "Morph": "morph",
     "NotInjective": "errors",
     "PushForwardReport": "push_forward",
     "Shear": "shear",
@@ -47,6 +49,7 @@ _HOME = {
     "TutteNet": "tuttenet",
     "Twist": "axial",
     "Warp": "warp",
+    "animation": "films",
     "back_end": "evaluate",
     "certify": "certificate",
     "check": "checking",
@@ -75,6 +78,8 @@ _HOME = {
     "set_threads": "threads",
     "slice_plot": "slice_picture",
     "slice_values": "slices",
+    "turntable": "films",
+    "write_film": "film_files",
 }
 
 __all__ = [*sorted(_HOME), "__version__"]
@@ -96,10 +101,13 @@ if TYPE_CHECKING:
     from implicit_warp.evaluate import back_end
     from implicit_warp.extraction import extract
     from implicit_warp.files import load, save
+    from implicit_warp.film_files import write_film
+    from implicit_warp.films import Look, animation, turntable
     from implicit_warp.fitting import FitOptions, FitReport, fit
     from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
     from implicit_warp.layer_pictures import layer_picture
     from implicit_warp.maps import Composition, Map
+    from implicit_warp.morph import Morph
     from implicit_warp.push_forward import PushForwardReport, deform_mesh
     from implicit_warp.shear import Shear
     from implicit_warp.slice_picture import slice_plot

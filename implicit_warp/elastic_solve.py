@@ -43,7 +43,7 @@ from implicit_warp.layers import compose_affine, determinant_3x3, invert_affine
 from implicit_warp.maps import Map
 from implicit_warp.options import Options
 from implicit_warp.progress import progress_bar
-from implicit_warp.sampling import sample_shape
+from implicit_warp.sampling import Samples, refuse_contradictions, sample_shape
 from implicit_warp.threads import threads_for_steps
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
@@ -210,6 +210,18 @@ def _as_field(shape: Any) -> Field:
     raise InputError("shape", shape, "neither a field nor a mesh", "pass a fields.Field")
 
 
+def draw_samples(shape: Field, handles: Sequence[Handle], options: ElasticOptions) -> Samples:
+    """The points that a solve of these works on; they do not depend on the handles' motions.
+
+    Raises:
+        InputError: see `elastic`.
+    """
+    pool = max(_POOL, options.samples)
+    return sample_shape(
+        _as_field(shape), _checked(handles), pool, options.handle_samples, options.seed
+    )
+
+
 class ElasticSolve:
     """One solve: samples, the unit domain, the net, and the loop.
 
@@ -219,16 +231,26 @@ class ElasticSolve:
 
     Args:
         shape, handles, options: see `elastic`.
+        samples: of `draw_samples`, for the same shape and regions; drawn if not given.
 
     Raises:
         InputError: see `elastic`.
     """
 
-    def __init__(self, shape: Field, handles: Sequence[Handle], options: ElasticOptions) -> None:
+    def __init__(
+        self,
+        shape: Field,
+        handles: Sequence[Handle],
+        options: ElasticOptions,
+        samples: Samples | None = None,
+    ) -> None:
         self.options = options
         shape, handles = _as_field(shape), _checked(handles)
-        pool = max(_POOL, options.samples)
-        self._samples = sample_shape(shape, handles, pool, options.handle_samples, options.seed)
+        if samples is None:
+            samples = draw_samples(shape, handles, options)
+        else:
+            refuse_contradictions(handles, samples.regions, shape.bounds)
+        self._samples = samples
         self.diagonal = float(torch.tensor(shape.bounds).diff(dim=0).norm())
         self._set_domain()
         self.retarget(handles)
@@ -298,9 +320,22 @@ class ElasticSolve:
                 self._optimiser.step()
 
     def start_from(self, other: ElasticSolve) -> None:
-        """Go on from another solve's net, of as many layers of the same kind."""
+        """Go on from another solve's net of the same kind, as its own steps would."""
         self.net.load_state_dict(other.net.state_dict())
         self._optimiser = None
+        if other._optimiser is not None:
+            # Without its moments, Adam's first steps are as long as its rate, however little is
+            # left to do.
+            self._optimiser = torch.optim.Adam(self.net.parameters(), fused=True)
+            self._optimiser.load_state_dict(other._optimiser.state_dict())
+
+    def rehearse(self) -> None:
+        """Take a step that changes nothing, so that the first true one finds all kernels loaded."""
+        state, optimiser = self.generator.get_state(), self._optimiser
+        self._optimiser = None
+        self.advance(1, 0.0)
+        self.generator.set_state(state)
+        self._optimiser = optimiser
 
     @torch.no_grad()
     def handle_error(self, map: Map | None = None) -> float:
@@ -344,6 +379,7 @@ class ElasticSolve:
     def _run(self, update, callback, watch) -> Warp:
         options = self.options
         optimiser = torch.optim.Adam(self.net.parameters(), lr=options.learning_rate, fused=True)
+        self._optimiser = optimiser
         schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, self._rate)
         best_loss, best_state = math.inf, None
         history: list[tuple[int, float]] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -100,13 +101,21 @@ def sample_shape(
                 "move or enlarge the region so that it meets the shape",
             )
     regions = [torch.cat(points)[:per_region] for points in chosen]
-    _refuse_contradictions(handles, regions, float((high - low).norm()))
+    refuse_contradictions(handles, regions, shape.bounds)
     return Samples(torch.cat(inside)[:interior], regions)
 
 
-def _refuse_contradictions(
-    handles: Sequence[Handle], regions: Sequence[Tensor], diagonal: float
+def refuse_contradictions(
+    handles: Sequence[Handle], regions: Sequence[Tensor], bounds: np.ndarray
 ) -> None:
+    """Raise `InputError` if two handles send points in both of their regions to two places.
+
+    Args:
+        handles: in any motion.
+        regions: points (n, 3) in each of them.
+        bounds: (2, 3) of the shape.
+    """
+    diagonal = float(np.linalg.norm(np.diff(bounds, axis=0)))
     for i, first in enumerate(handles):
         for j, second in enumerate(handles[i + 1 :], i + 1):
             # A large region's samples may all miss a small one: each is asked about the other's.

@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fields import Field
-from implicit_warp.elastic_solve import ElasticOptions, ElasticSolve
+from implicit_warp.elastic_solve import ElasticOptions, ElasticSolve, draw_samples
 from implicit_warp.handles import Handle
+from implicit_warp.sampling import Samples
 from implicit_warp.warp import Warp
 
 LOG = logging.getLogger("implicit_warp.viewer")
@@ -36,9 +37,10 @@ LOG = logging.getLogger("implicit_warp.viewer")
 LIVE = {"samples": 768, "handle_samples": 128}
 """Options of the steps during a drag, in place of the full solve's."""
 
-RATE, FALL, LEAST = 0.04, 0.93, 0.05
+RATE, FALL, LEAST = 0.005, 0.98, 0.3
 """Their learning rate after an event, by what factor it falls with every update after that, and the
-least share of it: while nothing moves, the shape comes to rest."""
+least share of it. A tenth of the full solve's: each step starts close to its goal, because the
+rigid motion that serves all handles is followed at once; a larger rate shakes the shape."""
 
 WARM_UP = 20
 """Steps over which the rate rises at first: Adam's first steps are as long as its rate."""
@@ -96,7 +98,7 @@ class _SupersededError(Exception):
     """Something newer was asked for."""
 
 
-_Made = tuple[_Shape, tuple[tuple[Field, str], ...], ElasticSolve]
+_Regions = tuple[tuple[Field, str], ...]
 
 
 class LiveSolver:
@@ -126,8 +128,9 @@ class LiveSolver:
         self._request: _Request | None = None
         self._epoch = 0
         self._closed = self._busy = False
-        self._live: _Made | None = None
-        self._start: _Made | None = None
+        self._live: tuple[_Shape, _Regions, ElasticSolve] | None = None
+        self._start: tuple[_Shape, _Regions, ElasticSolve] | None = None
+        self._drawn: tuple[_Shape, _Regions, Samples] | None = None
         self._steps = 0
         self._reached: Warp | None = None
         self.set_shape(field, vertices)
@@ -230,6 +233,9 @@ class LiveSolver:
 
     def _follow(self, request: _Request, shape: _Shape) -> None:
         solve = self._stepped(request, shape)
+        if not request.rounds:
+            solve.rehearse()
+            solve.warp()(shape.vertices)
         for round_ in range(request.rounds):
             warm = min(1.0, (self._steps + STEPS) / WARM_UP)
             solve.advance(STEPS, RATE * warm * max(FALL**round_, LEAST))
@@ -243,21 +249,27 @@ class LiveSolver:
     def _stepped(self, request: _Request, shape: _Shape) -> ElasticSolve:
         """The solve to go on with: the last one, if the regions are still the same."""
         regions = _regions(request.handles)
-
-        def fits(made: _Made | None) -> bool:
-            return made is not None and made[0] is shape and _same(made[1], regions)
-
-        if fits(self._live):
+        if _fits(self._live, shape, regions):
             self._live[2].retarget(request.handles)
         else:
+            all_ = self._drawn_for(request, shape)
+            few = [points[: LIVE["handle_samples"]] for points in all_.regions]
             options = self.options.with_changes(LIVE)
-            solve = ElasticSolve(shape.field, request.handles, options)
+            solve = ElasticSolve(shape.field, request.handles, options, Samples(all_.interior, few))
             self._live, self._steps = (shape, regions, solve), 0
-        if fits(self._start):  # a full solve is the last that was shown
+        if _fits(self._start, shape, regions):  # a full solve is the last that was shown
             self._live[2].start_from(self._start[2])
-            self._steps = 0
+            self._steps = WARM_UP
         self._start = None
         return self._live[2]
+
+    def _drawn_for(self, request: _Request, shape: _Shape) -> Samples:
+        """The samples of a full solve, drawn once as long as the regions are the same."""
+        regions = _regions(request.handles)
+        if not _fits(self._drawn, shape, regions):
+            samples = draw_samples(shape.field, request.handles, self.options)
+            self._drawn = (shape, regions, samples)
+        return self._drawn[2]
 
     def _solve(self, request: _Request, shape: _Shape) -> None:
         def watch() -> None:
@@ -272,7 +284,8 @@ class LiveSolver:
             text = f"step {step} of {self.options.steps}"
             self._show(request, shape, shown, error, True, text)
 
-        solve = ElasticSolve(shape.field, request.handles, self.options)
+        samples = self._drawn_for(request, shape)
+        solve = ElasticSolve(shape.field, request.handles, self.options, samples)
         # A drag has come closer to the handles than the first steps from rest do.
         shown = self._reached
         reached = math.inf if shown is None else solve.handle_error(shown)
@@ -310,11 +323,15 @@ class LiveSolver:
             )
 
 
-def _regions(handles: Sequence[Handle]) -> tuple[tuple[Field, str], ...]:
+def _regions(handles: Sequence[Handle]) -> _Regions:
     return tuple((handle.region, handle.name) for handle in handles)
 
 
-def _same(old, new) -> bool:
-    return len(old) == len(new) and all(
-        a[0] is b[0] and a[1] == b[1] for a, b in zip(old, new, strict=True)
+def _fits(made: tuple | None, shape: _Shape, regions: _Regions) -> bool:
+    """Was something made for this shape and these very regions?"""
+    return (
+        made is not None
+        and made[0] is shape
+        and len(made[1]) == len(regions)
+        and all(a[0] is b[0] and a[1] == b[1] for a, b in zip(made[1], regions, strict=True))
     )

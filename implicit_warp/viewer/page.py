@@ -9,6 +9,7 @@ import contextlib
 import threading
 import time
 from collections import deque
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -86,12 +87,13 @@ class Editor:
         viser = import_viser()
         self.folder = Path(folder).resolve()
         self.source = ShapeSource(shape, warp)
-        self._sources = (self.source.path,)
+        self._sources = (self.source.path, None if warp is None else Path(warp))
         state, solve = EditState(), {}
         if handles is not None:
             state, solve = load_edit(handles, np.asarray(self.source.preview.vertices))
-        self._solve_table = solve
         options = options or ElasticOptions.from_mapping(solve)
+        usual = asdict(ElasticOptions())
+        self._solve_table = {k: v for k, v in asdict(options).items() if v != usual[k]}
         self.session = EditSession(state)
         self.autosave = Autosave(self.session, self.source.path, self.folder)
         self.drags: deque[float] = deque(maxlen=1000)
@@ -404,7 +406,9 @@ class Editor:
             return _replace(state.with_handle(handle), selection=None)
 
         state = self.session.change(change)
-        if any(not h.held for h in state.handles):
+        if state.displaced:  # with one more handle, what is shown is not the result any more
+            self.solver.solve(solve_handles(state, self._amount))
+        else:
             self.solver.prepare(solve_handles(state))
 
     def _activate(self, event: Any) -> None:

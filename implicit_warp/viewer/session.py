@@ -132,6 +132,11 @@ class EditState:
         """Is anything moved at all?"""
         return any(not h.held for h in self.handles)
 
+    @property
+    def displaced(self) -> bool:
+        """Is anything elsewhere than at rest?"""
+        return any(not h.held and any((*h.rotvec, *h.shift)) for h in self.handles)
+
 
 class EditSession:
     """An edit that several tabs share.

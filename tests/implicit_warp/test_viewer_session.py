@@ -223,6 +223,9 @@ def test_handles_are_named_renamed_replaced_and_removed_in_their_places():
     with pytest.raises(InputError, match="there are: a, B, C"):
         state.get("b")
     assert not EditState((handle("x", held=True),)).moves
+    assert not state.displaced
+    assert state.with_handle(handle("d", shift=(0.0, 0.1, 0.0))).displaced
+    assert not state.with_handle(handle("d", held=True, shift=(0.0, 0.1, 0.0))).displaced
 
 
 def test_free_names_are_free():
