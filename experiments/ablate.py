@@ -39,10 +39,11 @@ class Ablation(StudyOfPairs):
 
 
 def job_of(variation: Variation, index: int, options: Ablation) -> Job:
-    """The job of one row on one pair; rows that equal the defaults share theirs."""
-    is_base = not variation.options and variation.method == "tuttenet"
+    """The job of one row on one pair; rows that are the same fit share theirs."""
+    fit = (variation.method, variation.options)
+    same = (v.name for rows in STUDIES.values() for v in rows if (v.method, v.options) == fit)
     return Job(
-        name=_BASE_FOLDER if is_base else variation.name,
+        name=_BASE_FOLDER if fit == ("tuttenet", {}) else next(same, variation.name),
         method=variation.method,
         index=index,
         bodies=options.bodies,
