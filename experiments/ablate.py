@@ -14,54 +14,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
 
 from experiments.study.jobs import Job, run_jobs
-from experiments.study.results import (
-    DOCUMENT,
-    RESULTS,
-    compact,
-    machine_of,
-    where_and_when,
-    write_results,
-    write_tables,
-)
+from experiments.study.results import compact, machine_of, where_and_when
+from experiments.study.settings import StudyOfPairs
 from experiments.study.tables import ablation_table
 from experiments.study.variations import STUDIES, Variation, base_of
 from implicit_warp.errors import InputError
-from implicit_warp.files import atomic_write
 
 _BASE_FOLDER = "defaults"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ablation:
+class Ablation(StudyOfPairs):
     """Vary one thing at a time, on a few pairs."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for records, results, tables and the picture."""
     studies: tuple[str, ...] = tuple(STUDIES)
     """Which tables."""
     count: int = 5
     """How many pairs."""
-    bodies: str = "anny"
-    """anny, figure or small-figure."""
-    pair_seed: int = 2026
-    """Of the pairs."""
-    seed: int = 0
-    """Of the fits."""
-    steps: int = 1000
-    """Of every fit whose row does not say otherwise."""
-    workers: int = 1
-    """Processes, one thread each."""
-    fitting: bool = True
-    """Fit what is missing; without it, what is on disk is reported."""
-    pictures: bool = True
-    """Draw ablate.png."""
-    keep: bool = False
-    """Also write experiments/results and the tables of experiments/README.md."""
 
 
 def job_of(variation: Variation, index: int, options: Ablation) -> Job:
@@ -106,8 +80,7 @@ def run(options: Ablation, progress: Callable[[str], None] = print) -> dict[str,
     ]
     # In the order of their first need, each once.
     jobs = list({job.path(Path()): job for _, _, job in rows}.values())
-    workers = options.workers if options.fitting else 0
-    records = run_jobs(jobs, options.out / "records", workers, progress)
+    records = run_jobs(jobs, options.records, options.processes, progress)
     by_job = {(record["name"], record["index"]): record for record in records}
     found = {
         "bodies": options.bodies,
@@ -123,18 +96,11 @@ def run(options: Ablation, progress: Callable[[str], None] = print) -> dict[str,
     }
     for record in found["records"]:
         del record["trace"], record["wall_seconds"], record["load"], record["date"]
-    tables = tables_of(found)
-    folders = [options.out, RESULTS] if options.keep else [options.out]
-    for folder in folders:
-        write_results(folder / "ablate.json", found)
-    with atomic_write(options.out / "ablate.md") as temporary:
-        temporary.write_text("\n\n".join(tables.values()) + "\n", encoding="utf-8")
-    if options.keep:
-        write_tables(DOCUMENT, tables)
+    options.write("ablate", found, tables_of(found))
     if options.pictures:
         from experiments.study.pictures import ablations
 
-        for folder in folders:
+        for folder in options.folders:
             ablations(found["records"], folder / "ablate.png")
     return found
 

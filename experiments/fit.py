@@ -12,59 +12,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
 
 from experiments.study.fitters import NAMES
 from experiments.study.jobs import Job, run_jobs
-from experiments.study.results import (
-    DOCUMENT,
-    RESULTS,
-    compact,
-    machine_of,
-    where_and_when,
-    write_results,
-    write_tables,
-)
+from experiments.study.results import compact, machine_of, where_and_when
+from experiments.study.settings import StudyOfPairs
 from experiments.study.tables import accuracy_table, soundness_table
-from implicit_warp.files import atomic_write
 
 BY_STEPS = ("tuttenet",)
 """Methods that take a number of steps, and no budget of time."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitExperiment:
+class FitExperiment(StudyOfPairs):
     """Fit pairs of bodies with every method, and compare."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for records, results, tables and pictures."""
     methods: tuple[str, ...] = tuple(NAMES)
     """Which methods."""
     count: int = 20
     """How many pairs."""
-    bodies: str = "anny"
-    """anny, figure or small-figure."""
-    pair_seed: int = 2026
-    """Of the pairs. The options of `fit` were chosen on pairs of seed 1."""
-    seed: int = 0
-    """Of the methods."""
     seconds: float = 60.0
     """CPU seconds a pair for a method that is trained until its time is over."""
-    steps: int = 1000
-    """Steps of the TutteNet."""
-    workers: int = 1
-    """Processes, one thread each."""
-    fitting: bool = True
-    """Fit what is missing; without it, what is on disk is reported."""
-    pictures: bool = True
-    """Draw convergence.png and comparison.png."""
     shown: tuple[int, ...] = ()
     """Pairs in comparison.png; by default those of median and largest error of the first method."""
-    keep: bool = False
-    """Also write experiments/results and the tables of experiments/README.md."""
 
 
 def jobs_of(options: FitExperiment) -> list[Job]:
@@ -97,8 +70,7 @@ def tables_of(found: dict[str, Any]) -> dict[str, str]:
 def run(options: FitExperiment, progress: Callable[[str], None] = print) -> dict[str, Any]:
     """Do what is missing, write all files, and return what fit.json holds."""
     jobs = jobs_of(options)
-    workers = options.workers if options.fitting else 0
-    records = run_jobs(jobs, options.out / "records", workers, progress)
+    records = run_jobs(jobs, options.records, options.processes, progress)
     in_order = sorted(records, key=lambda r: (options.methods.index(r["name"]), r["index"]))
     found = {
         "bodies": options.bodies,
@@ -109,20 +81,13 @@ def run(options: FitExperiment, progress: Callable[[str], None] = print) -> dict
         "machine": machine_of(records),
         "records": [compact(record) for record in in_order],
     }
-    folders = [options.out, RESULTS] if options.keep else [options.out]
-    tables = tables_of(found)
-    for folder in folders:
-        write_results(folder / "fit.json", found)
-    with atomic_write(options.out / "fit.md") as temporary:
-        temporary.write_text("\n\n".join(tables.values()) + "\n", encoding="utf-8")
-    if options.keep:
-        write_tables(DOCUMENT, tables)
+    options.write("fit", found, tables_of(found))
     if options.pictures:
         from experiments.study.pictures import comparison, convergence
 
-        for folder in folders:
+        for folder in options.folders:
             convergence(found["records"], folder / "convergence.png")
-            comparison(jobs, options.out / "records", folder / "comparison.png", options.shown)
+            comparison(jobs, options.records, folder / "comparison.png", options.shown)
     return found
 
 

@@ -15,8 +15,7 @@ import copy
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numba
 import numpy as np
@@ -29,14 +28,14 @@ from experiments.bodies import Pair
 from experiments.study.fitters import NAMES, fit
 from experiments.study.jobs import Job, pair_of
 from experiments.study.paper import TABLE_2
-from experiments.study.results import DOCUMENT, RESULTS, read_results, write_results, write_tables
+from experiments.study.results import read_results
+from experiments.study.settings import Study
 from experiments.study.tables import markdown, number
 from implicit_warp import TutteNet, Warp
 from implicit_warp.benchmark.report import cpu_name, load_average
 from implicit_warp.benchmark.timing import Contender, race, wall
 from implicit_warp.benchmark.workloads import sphere_mesh
 from implicit_warp.errors import InputError
-from implicit_warp.files import atomic_write
 from implicit_warp.maps import Composition, Map
 from implicit_warp.mesh_gradient import MeshGradient
 from implicit_warp.threads import set_threads
@@ -50,11 +49,9 @@ WITH_MAPS = ("tuttenet", "realnvp", "realnvp_64", "i_resnet", "neural_ode")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimingExperiment:
+class TimingExperiment(Study):
     """Time every method that has a map."""
 
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for timing.json, timing.md and timing.png."""
     methods: tuple[str, ...] = WITH_MAPS
     """Which methods."""
     points: int = 6890
@@ -63,20 +60,10 @@ class TimingExperiment:
     """Numbers of threads; those that the machine does not allow are left out."""
     rounds: int = 5
     """Measurements of each operation, of which the median counts."""
-    bodies: str = "anny"
-    """anny, figure or small-figure."""
-    pair_seed: int = 2026
-    """Of the pair that is fitted first."""
     seconds: float = 20.0
-    """CPU seconds of that fit, for networks."""
+    """CPU seconds of the fit before, for networks."""
     steps: int = 300
     """Steps of that fit, for the TutteNet."""
-    pictures: bool = True
-    """Draw timing.png."""
-    measuring: bool = True
-    """Measure; without it, what timing.json in the folder holds is reported."""
-    keep: bool = False
-    """Also write experiments/results and the table of experiments/README.md."""
 
 
 def operations_of(
@@ -86,14 +73,14 @@ def operations_of(
 
     In float32, but for the inverse: the networks' inverses iterate to tolerances below float32's.
     """
-    inner, around = _inside(map_)
     images = map_(points.double())
-    if isinstance(inner, Warp):
-        module: nn.Module = TutteNet(inner.n_layers, inner.resolution, "cubic")
+    if isinstance(map_, Warp):
+        module: nn.Module = TutteNet(map_.n_layers, map_.resolution, "cubic")
         called: Callable[[Tensor], Tensor] = map_
         jacobian = map_.call_and_jacobian
     else:
         # Trained in float32 and kept in float64 for accuracy; speed is that of float32.
+        inner, around = _inside(map_)
         module = copy.deepcopy(inner.module).float()
         in_float32 = _Float32(module, around)
         called, jacobian = in_float32.call, in_float32.jacobian
@@ -122,10 +109,8 @@ class _Float32:
         return y.detach(), torch.stack(rows, dim=1)
 
 
-def _inside(map_: Map) -> tuple[Warp | ModuleMap, tuple[Map, Map]]:
-    """The warp or network in a fitted map, and the affine maps before and after it."""
-    if isinstance(map_, Warp):
-        return map_, (map_, map_)
+def _inside(map_: Map) -> tuple[ModuleMap, tuple[Map, Map]]:
+    """The network in a fitted map, and the affine maps before and after it."""
     parts = map_.maps if isinstance(map_, Composition) else (map_,)
     if len(parts) == 3 and isinstance(parts[1], ModuleMap):
         return parts[1], (parts[0], parts[2])
@@ -161,7 +146,7 @@ def measure(options: TimingExperiment, progress: Callable[[str], None]) -> list[
         progress(f"fitting {method}")
         given = {"steps": options.steps} if method == "tuttenet" else {}
         limit = None if method == "tuttenet" else options.seconds
-        fitted = fit(method, pair, limit, 0, given)
+        fitted = fit(method, pair, limit, options.seed, given)
         if fitted.map is None:
             raise InputError("methods", method, "it has no map", f"use some of {WITH_MAPS}")
         for operation, call in operations_of(method, fitted.map, points, options).items():
@@ -264,17 +249,11 @@ def run(options: TimingExperiment, progress: Callable[[str], None] = print) -> d
         found = _measured(options, progress)
     else:
         found = read_results(options.out / "timing.json")
-    folders = [options.out, RESULTS] if options.keep else [options.out]
-    for folder in folders:
-        write_results(folder / "timing.json", found)
-    with atomic_write(options.out / "timing.md") as temporary:
-        temporary.write_text(table_of(found) + "\n", encoding="utf-8")
-    if options.keep:
-        write_tables(DOCUMENT, {"timing": table_of(found)})
+    options.write("timing", found, {"timing": table_of(found)})
     if options.pictures:
         from experiments.study.pictures import timings
 
-        for folder in folders:
+        for folder in options.folders:
             timings(found["records"], folder / "timing.png")
     return found
 

@@ -26,6 +26,7 @@ from fields.errors import InputError
 from fields.evaluators.enclosures import bounds_on_boxes, checked_dtype
 from fields.evaluators.threads import in_parts
 from fields.field import Field
+from fields.z_order import z_order
 
 Integers = NDArray[np.int64]
 
@@ -128,7 +129,7 @@ def _visited(
     places = _checked_corners(corners)
     if not isinstance(size, int | np.integer) or size < 1:
         raise InputError("size", size, "a block has one cell or more a side", "pass 8 or 16")
-    keys = _curve((places - places.min(axis=0, initial=0)) // size)
+    keys = z_order((places - places.min(axis=0, initial=0)) // size)
     order = np.argsort(keys, kind="stable")
     keys, places = keys[order], places[order]
     room = (len(places), (size + 1) ** 3) if sampled else (0, 1)
@@ -152,15 +153,6 @@ def _checked_corners(corners: ArrayLike) -> Integers:
             "pass whole numbers of shape (n, 3)",
         )
     return array.astype(np.int64)
-
-
-def _curve(blocks: Integers) -> Integers:
-    """Places along the Z-order curve: the bits of three whole numbers below 2**21, interleaved."""
-    keys = np.zeros(len(blocks), np.int64)
-    for bit in range(21):
-        for axis in range(3):
-            keys |= ((blocks[:, axis] >> bit) & 1) << (3 * bit + 2 - axis)
-    return keys
 
 
 def _starts(keys: Integers) -> Integers:

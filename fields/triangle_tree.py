@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fields.z_order import sorted_in_space
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -48,7 +50,7 @@ class TriangleTree:
         """
         from fields.kernels.triangle_tree import nearest
 
-        order = _along_a_curve(points)
+        order = sorted_in_space(points)
         triangle, feature, point = nearest(
             points[order], self._corners, self._boxes, self._links, limit
         )
@@ -70,19 +72,3 @@ class TriangleTree:
         from fields.kernels.winding_number import moments
 
         return moments(self._corners, self._links)
-
-
-def _along_a_curve(points: Floats) -> Integers:
-    """An order of points in which neighbours are near each other: Morton's, 1024 cells a side."""
-    if len(points) < 2:
-        return np.arange(len(points))
-    low, high = points.min(axis=0), points.max(axis=0)
-    step = np.where(high > low, high - low, 1.0) / 1023
-    cells = np.nan_to_num((points - low) / step).clip(0, 1023).astype(np.int64)
-    code = np.zeros(len(points), dtype=np.int64)
-    for axis, cell in enumerate(cells.T):
-        # Two zeros between every two of ten bits, by halves.
-        for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
-            cell = (cell | cell << shift) & mask
-        code |= cell << axis
-    return np.argsort(code)

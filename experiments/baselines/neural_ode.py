@@ -87,5 +87,5 @@ def fit_neural_ode(source, target, faces, *, height, seconds, seed=0) -> Fitted:
     """The supplement's size and tolerances."""
     return train(
         Flow(WIDTH, seed), FlowMap, source, target, faces,
-        height=height, seconds=seconds, seed=seed, learning_rate=1e-2, parts=32,
+        height=height, seconds=seconds, seed=seed, learning_rate=5e-3, parts=8,
     )  # fmt: skip

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from experiments.baselines.method import Fitted, Trace
 from experiments.baselines.module_map import ModuleMap
+from fields.z_order import sorted_in_space
 from implicit_warp.affine import Affine
 from implicit_warp.fitting.options import FitOptions
 from implicit_warp.fitting.problem import PAPER_HEIGHT, FitProblem, correspondence
@@ -63,14 +64,8 @@ class _Part:
 
 def _parts(problem, source, target, faces, scale, count: int, seed: int) -> list[_Part]:
     """So many parts, with all faces between them."""
-    centres = source[faces].mean(axis=1)
-    low, side = centres.min(axis=0), np.ptp(centres, axis=0).max() + 1e-12
-    cells = ((centres - low) / side * 1023).astype(np.int64)
-    keys = np.zeros(len(cells), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            keys |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    strips = np.array_split(np.argsort(keys, kind="stable"), max(count, len(faces) // STRIP))
+    near = sorted_in_space(source[faces].mean(axis=1))
+    strips = np.array_split(near, max(count, len(faces) // STRIP))
     order = np.random.default_rng(seed).permutation(len(strips))
     return [
         _Part(problem, source, target, faces[np.concatenate([strips[i] for i in chosen])], scale)

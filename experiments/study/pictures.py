@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -164,23 +165,24 @@ def comparison(jobs: Sequence[Job], folder: Path, path: Path, shown: Sequence[in
         jobs: of the experiment.
         folder: of their records.
         path: the PNG file.
-        shown: which pairs; by default those of median and of largest error of the first method.
+        shown: which pairs; by default those of median and of largest gradient error of the first
+            method, among the pairs that all methods fitted.
 
     Raises:
         InputError: a pair that was not fitted.
     """
-    records = {(job.method, job.index): (job, stored(job, folder)) for job in jobs}
-    first = jobs[0].method
-    ranked = sorted(
-        (record["gradient_error"], index)
-        for (method, index), (_, record) in records.items()
-        if method == first and record is not None
-    )
+    records = [(job, record) for job in jobs if (record := stored(job, folder)) is not None]
     if not shown:
+        fitted = Counter(job.index for job, _ in records)
+        ranked = sorted(
+            (record["gradient_error"], job.index)
+            for job, record in records
+            if job.method == jobs[0].method and fitted[job.index] == max(fitted.values())
+        )
         shown = dict.fromkeys(ranked[i][1] for i in ((len(ranked) - 1) // 2, len(ranked) - 1))
     rows = []
     for index in shown:
-        chosen = [r for (_, i), r in records.items() if i == index and r[1] is not None]
+        chosen = [(job, record) for job, record in records if job.index == index]
         if not chosen:
             raise InputError("shown", index, "no such pair was fitted", "choose among the pairs")
         rows.append(render_row(_panels(chosen, folder), size=(300, 400), supersampling=2))

@@ -15,6 +15,18 @@ from tests.viewer.driver import Tab, seen_vertex, until
 LEFT, RIGHT = (-1.5, -0.55), (1.5, -0.5)
 
 
+def make_handles(tab: Tab, held: tuple[float, float], moved: tuple[float, float]) -> None:
+    """Hold what is seen at one place, and move what is seen at another."""
+    session = tab.editor.session
+    for place, press in ((held, "Hold what is picked"), (moved, "Move what is picked")):
+        tab.click_shape(seen_vertex(tab.editor, *place))
+        until(lambda: session.state.selection is not None, "the brush picks")
+        tab.press(press)
+        until(lambda: session.state.selection is None, "it is a handle")
+    tab.editor.solver.wait()
+    tab.settle()
+
+
 def test_from_the_command_to_an_exported_bent_part_in_six_actions(browser, editor, tmp_path):
     tab = Tab(browser, editor)
     before = tab.picture()
@@ -100,13 +112,7 @@ def test_mistakes_are_told_in_the_page(browser, editor, tmp_path):
         tab.notice(cause)
     assert not (tmp_path.parent / "out.stl").exists()
     # Two handles that want the same points elsewhere.
-    for press in ("Hold what is picked", "Move what is picked"):
-        tab.click_shape(seen_vertex(editor, *LEFT))
-        until(lambda: editor.session.state.selection is not None, "the brush picks")
-        tab.press(press)
-        until(lambda: editor.session.state.selection is None, "it is a handle")
-    editor.solver.wait()
-    tab.settle()
+    make_handles(tab, LEFT, LEFT)
     tab.drag_arrow((0, -60))
     tab.drop()
     tab.notice("contradict each other")
@@ -137,13 +143,7 @@ def test_two_tabs_share_one_edit_and_closing_one_in_a_solve_harms_nothing(browse
 
 def test_a_drag_during_a_solve_takes_its_place(browser, editor):
     tab = Tab(browser, editor)
-    for place, press in ((LEFT, "Hold what is picked"), (RIGHT, "Move what is picked")):
-        tab.click_shape(seen_vertex(editor, *place))
-        until(lambda: editor.session.state.selection is not None, "the brush picks")
-        tab.press(press)
-        until(lambda: editor.session.state.selection is None, "it is a handle")
-    editor.solver.wait()
-    tab.settle()
+    make_handles(tab, LEFT, RIGHT)
     tab.drag_arrow((0, -50))
     tab.drop()
     first = editor.session.state.get("moved 1").shift[2]
