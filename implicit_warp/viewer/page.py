@@ -220,12 +220,13 @@ class Editor:
         if event.client is None:
             return
         try:
-            state = self.session.state
-            if not state.active:
+            name = self.session.state.active
+            if not name:
                 return
-            moved = state.get(state.active).posed(event.target.position, event.target.wxyz)
+            position, wxyz = event.target.position, event.target.wxyz
+            # From the handle as it is within the change: another tab may edit it meanwhile.
             state = self.session.change(
-                lambda s: s.with_handle(moved), merge=f"drag {state.active}"
+                lambda s: s.with_handle(s.get(name).posed(position, wxyz)), merge=f"drag {name}"
             )
             if event.phase == "end":
                 self.session.end_merging()
