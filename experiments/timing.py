@@ -88,7 +88,9 @@ def operations_of(
         "forward": torch.no_grad()(lambda: called(points)),
         "value and Jacobian": lambda: jacobian(points),
         "inverse": torch.no_grad()(lambda: map_.inv(images)),
-        "training step": _training_step(copy.deepcopy(module).requires_grad_(True), options),
+        "training step": _training_step(
+            copy.deepcopy(module).requires_grad_(True).train(), options
+        ),
     }
 
 
@@ -204,14 +206,16 @@ def _points_of(pair: Pair, count: int) -> Tensor:
 def table_of(found: Mapping[str, Any]) -> str:
     """Milliseconds of every operation, and the paper's."""
     rows = found["records"]
-    seconds = {(r["method"], r["operation"], r["threads"]): r["seconds"] for r in rows}
+    seconds = {(r["method"], r["operation"], r["threads"]): (r["seconds"], r["best"]) for r in rows}
     threads = sorted({row["threads"] for row in rows})
     lines = []
     for method in dict.fromkeys(row["method"] for row in rows):
         cells = []
         for operation in OPERATIONS:
             values = [seconds[method, operation, count] for count in threads]
-            cells.append(" / ".join(number(1e3 * value) for value in values))
+            cells.append(
+                " / ".join("{} ({})".format(*(number(1e3 * v) for v in p)) for p in values)
+            )
         paper = TABLE_2.get(method)
         for value in (None, None) if paper is None else (paper.forward, paper.jacobian):
             cells.append("-" if value is None else number(1e3 * value))
@@ -221,8 +225,8 @@ def table_of(found: Mapping[str, Any]) -> str:
     clocks = " / ".join(_THREADS[count > 1].format(count) for count in threads)
     note = (
         f"Milliseconds, {found['points']:,} points, float32 (inverse: float64), medians of "
-        f"{found['rounds']} turns, {clocks}; {found['machine']['cpu']}, load average {min(load)} "
-        f"to {max(load)}, torch {found['machine']['torch']}."
+        f"{found['rounds']} turns (the best of them), {clocks}; {found['machine']['cpu']}, load "
+        f"average {min(load)} to {max(load)}, torch {found['machine']['torch']}."
     )
     return f"{markdown(headings, lines)}\n\n{note}"
 

@@ -4,6 +4,9 @@ Guarantee: a record on disk is whole (written under a temporary name and renamed
 job that it is returned for (the job is stored in it and compared), and was measured with one thread
 after everything had been compiled.  Costs are CPU seconds of the process, which a busy machine
 changes little, with wall-clock seconds beside them.
+
+Non-guarantee: a record does not know the version of the code that made it.  After a method is
+changed, remove its folder.
 """
 
 from __future__ import annotations
