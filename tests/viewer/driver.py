@@ -81,7 +81,9 @@ class Tab:
         """(2,) the pixel where a point (3,) is seen."""
         camera = self._client.camera
         view = regions.Camera(camera.position, camera.wxyz, camera.fov, camera.aspect)
-        return view.on_screen(np.asarray(point, np.float64)[None])[0][0] * self.size
+        canvas = self.page.locator("canvas").first.bounding_box()  # the panel is beside it
+        place = view.on_screen(np.asarray(point, np.float64)[None])[0][0]
+        return place * (canvas["width"], canvas["height"]) + (canvas["x"], canvas["y"])
 
     def click_shape(self, point: Any, key: str | None = None) -> None:
         """Click where a point of the shape is seen."""
@@ -90,6 +92,16 @@ class Tab:
     def press(self, text: str) -> None:
         """Press a button."""
         self.page.get_by_role("button", name=text, exact=True).first.click()
+
+    def open(self, folder: str) -> None:
+        """Open a folder of the panel, or close it."""
+        self.page.get_by_text(folder, exact=True).first.click()
+        self.settle(0.4)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose from a list."""
+        self.page.get_by_label(label, exact=True).first.click()
+        self.page.get_by_role("option", name=option, exact=True).first.click()
 
     def drag(self, start: Any, way: Any, steps: int = 12, pause: float = 0.05) -> None:
         """Drag from a pixel by so many pixels; the button stays down until `drop`."""
@@ -150,6 +162,14 @@ class Tab:
         control = self.page.get_by_label(label, exact=True).first
         control.fill(value)
         control.press("Enter")
+
+    def steady(self, path: Path) -> None:
+        """A screenshot of what the page has come to: two in a row are the same."""
+        last, now = b"", self.picture()
+        while now != last:
+            self.settle(1.5)
+            last, now = now, self.picture()
+        path.write_bytes(now)
 
     def picture(self, path: Path | None = None) -> bytes:
         """A screenshot."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from implicit_warp.checking import check
 from implicit_warp.cli import main
@@ -54,7 +53,7 @@ def test_from_the_command_to_an_exported_bent_part_in_six_actions(browser, edito
     assert np.allclose(shift[:2], 0, atol=1e-6)  # along the arrow
     assert editor.final.handle_error < 0.02 * editor.size
     # 6: export.
-    editor.panel.resolution.value = 48
+    editor.export.resolution.value = 48
     tab.press("Export the mesh")
     path = tmp_path / "part-deformed.stl"
     until(path.exists, "the file is written")
@@ -64,6 +63,7 @@ def test_from_the_command_to_an_exported_bent_part_in_six_actions(browser, edito
     assert list(report.topology.genus) == [3]
 
     # The handle file gives the same map on the command line, and the same mesh.
+    tab.open("Other files")
     tab.press("Handles")
     toml = tmp_path / "part-deformed.toml"
     until(toml.exists, "the handle file is written")
@@ -107,7 +107,7 @@ def test_mistakes_are_told_in_the_page(browser, editor, tmp_path):
         ("../out.stl", "outside of the working folder"),
         ("part.xyz", "cannot write"),
     ):
-        editor.panel.file.value = name
+        editor.export.file.value = name
         tab.press("Export the mesh")
         tab.notice(cause)
     assert not (tmp_path.parent / "out.stl").exists()
@@ -181,13 +181,3 @@ def test_a_wrong_file_is_refused_before_anything_is_served(tmp_path, capsys):
     (tmp_path / "handles.toml").write_text("[[handle]]\nregion = 3\n")
     part = str(EXAMPLES / "demo" / "part.py")
     assert main(["view", part, "--handles", str(tmp_path / "handles.toml")]) == 2
-
-
-@pytest.mark.parametrize("extra", ["Stretch"])
-def test_distortion_is_shown(browser, editor, extra):
-    tab = Tab(browser, editor)
-    before = tab.picture()
-    editor.panel.colour.value = extra
-    editor._recolour()
-    tab.settle(1.5)
-    assert tab.picture() != before
