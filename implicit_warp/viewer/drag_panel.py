@@ -110,15 +110,16 @@ class DragPanel:
         if event.client is None:
             return
         try:
-            state = editor.session.state
-            if not state.active:
+            name = editor.session.state.active
+            if not name:
                 return
             self.stop_playing()
             if self.share != 1.0:  # the gizmo stands where the whole motion leads
                 self.set_share(1.0)
-            moved = state.get(state.active).posed(event.target.position, event.target.wxyz)
+            position, wxyz = event.target.position, event.target.wxyz
+            # From the handle as it is within the change: another tab may edit it meanwhile.
             state = editor.session.change(
-                lambda s: s.with_handle(moved), merge=f"drag {state.active}"
+                lambda s: s.with_handle(s.get(name).posed(position, wxyz)), merge=f"drag {name}"
             )
             if event.phase == "end":
                 editor.session.end_merging()
