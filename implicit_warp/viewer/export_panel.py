@@ -56,10 +56,11 @@ class ExportPanel:
         self.save.on_click(safe(lambda e: self._save(e.target.value, e.client)))
         self.film.on_click(safe(lambda e: self._film(e.target.value, e.client)))
 
-    def _path(self, ending: str) -> Path:
-        stem = Path(self.file.value.strip() or "edit").stem
-        suffix = Path(ending).suffix
-        return inside(self._editor.folder, f"{stem}{ending}", (suffix,), keep=self._editor.inputs)
+    def _path(self, suffix: str, more: str = "") -> Path:
+        """Beside the mesh, named like it."""
+        path = Path(self.file.value.strip() or "edit")
+        name = str(path.with_name(f"{path.stem}{more}{suffix}"))
+        return inside(self._editor.folder, name, (suffix,), keep=self._editor.inputs)
 
     @contextmanager
     def _working(self, path: Path) -> Iterator[None]:
@@ -114,7 +115,7 @@ class ExportPanel:
         from implicit_warp.films import animation, turntable
 
         editor = self._editor
-        path = self._path(f"-{what.lower()}.{self.film_format.value.lower()}")
+        path = self._path(f".{self.film_format.value.lower()}", f"-{what.lower()}")
         with self._working(path):
             if what == "Turntable":
                 film = turntable(self._shown())

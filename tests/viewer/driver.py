@@ -27,6 +27,10 @@ PATIENCE = 60.0
 """Seconds after which something that should happen has not: shared machines are slow at random."""
 
 
+WINDOW = (1040, 660)
+"""Pixels; a small one, because they are rendered by software."""
+
+
 def browser_path() -> str | None:
     """A browser of the system, if it has one."""
     return next((path for name in BROWSERS if (path := shutil.which(name))), None)
@@ -51,7 +55,7 @@ class Tab:
         editor: what is on the other side.
     """
 
-    def __init__(self, browser: Any, editor: Editor, size: tuple[int, int] = (1280, 800)) -> None:
+    def __init__(self, browser: Any, editor: Editor, size: tuple[int, int] = WINDOW) -> None:
         known = set(editor.server.get_clients())
         self.editor, self.size = editor, np.array(size, np.float64)
         self.page = browser.new_page()
