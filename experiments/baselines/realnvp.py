@@ -66,7 +66,7 @@ def fit_realnvp(source, target, faces, *, height, seconds, seed=0, width: int = 
     """The supplement's size, width 32."""
     return train(
         RealNVP(width, seed), RealNVPMap, source, target, faces,
-        height=height, seconds=seconds, seed=seed, learning_rate=5e-3, parts=2,
+        height=height, seconds=seconds, seed=seed, learning_rate=1e-2, parts=8,
     )  # fmt: skip
 
 

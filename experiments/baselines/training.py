@@ -90,7 +90,8 @@ def train(
     """Fit a network by Adam, its rate on a half cosine over the time it has; the best state counts.
 
     Args:
-        module: takes points (n, 3) in the unit domain of `fit` to points.
+        module: takes points (n, 3) in the unit domain of `fit` to points.  Its errors are those in
+            evaluation.
         make_map: of the fitted network.
         source, target, faces, height, seconds, seed: see `Method`.
         learning_rate: at the start.
@@ -134,8 +135,10 @@ def affine(matrix: Tensor) -> Affine:
 @torch.no_grad()
 def _reviewed(module, problem: FitProblem, best, trace: Trace, start: float):
     """Enter the errors of the whole mesh into the trace; the better of the two states."""
-    images = [module(part) for part in problem.source.split(4096)]
-    errors, _ = problem.errors(torch.cat(images))
+    module.eval()
+    image = module(problem.source)
+    module.train()
+    errors, _ = problem.errors(image)
     trace.append((time.process_time() - start, errors["vertex"], errors["gradient"]))
     if errors["total"] < best[0]:
         state = {name: value.clone() for name, value in module.state_dict().items()}

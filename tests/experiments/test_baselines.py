@@ -10,7 +10,15 @@ import trimesh
 from experiments.baselines import METHODS
 from experiments.baselines.arap import fit_arap
 from experiments.baselines.cage import cage_around, mean_value_coordinates
-from experiments.baselines.i_resnet import CONTRACTION, Contraction, IResNet, IResNetMap, bounded
+from experiments.baselines.i_resnet import (
+    CONTRACTION,
+    Contraction,
+    IResNet,
+    IResNetMap,
+    bounded,
+    followed,
+    leading,
+)
 from experiments.baselines.neural_ode import Flow, FlowMap
 from experiments.baselines.realnvp import RealNVP, RealNVPMap
 from experiments.bodies import FigureBody, pairs
@@ -73,7 +81,7 @@ def test_jacobians_are_those_of_the_map_and_keep_orientation(build, points, seed
 def test_residuals_are_contractions_whatever_the_weights(seed):
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        g = shaken(Contraction(48), 5.0, seed).double()
+        g = shaken(Contraction(48), 5.0, seed).double().eval()
         a = torch.randn(4000, 3, dtype=torch.float64)
         b = a + 10.0 ** torch.empty(4000, 1, dtype=torch.float64).uniform_(-6, 0) * torch.randn(
             4000, 3, dtype=torch.float64
@@ -94,6 +102,28 @@ def test_weights_are_divided_by_their_norm_if_it_is_above_one(shape, seed):
     assert float(torch.linalg.matrix_norm(bounded(weight).double(), 2)) <= 1.0
     small = 0.01 * weight
     assert torch.equal(bounded(small), small)
+
+
+def test_training_follows_the_norms_and_evaluation_takes_the_exact_ones(seed):
+    generator = torch.Generator().manual_seed(seed)
+    weight = torch.randn(64, 48, generator=generator)
+    left = leading(weight)
+    for _ in range(30):  # as Adam moves weights: a little at a time
+        weight = weight + 0.01 * torch.randn(64, 48, generator=generator)
+        left = followed(weight, left)
+    exact = float(torch.linalg.matrix_norm(weight.double(), 2))
+    assert float((weight @ left).norm() / exact) == pytest.approx(1.0, abs=0.02)
+
+    g = shaken(Contraction(48), 5.0, seed)
+    points = torch.randn(50, 3, generator=generator)
+    g(points)  # keeps the vectors of these weights
+    shaken(g, 5.0, seed + 1)
+    from_training = g(points)
+    g.eval()
+    again = Contraction(48).eval()
+    again.load_state_dict(g.state_dict())
+    assert torch.equal(g(points), again(points))  # nothing of the training is left
+    assert not torch.equal(g(points), from_training)
 
 
 def test_mean_value_coordinates_sum_to_one_and_reproduce_the_points(rng):
