@@ -173,7 +173,7 @@ def elastic(
             nothing or contradict each other.
     """
     options = (options or ElasticOptions()).with_changes(changes)
-    with progress_bar("elastic", progress) as update, _stepping(options):
+    with progress_bar("elastic", progress) as update:
         return ElasticSolve(shape, handles, options).run(update=update, callback=callback)
 
 
@@ -254,9 +254,10 @@ class ElasticSolve:
         self.diagonal = float(torch.tensor(shape.bounds).diff(dim=0).norm())
         self._set_domain()
         self.retarget(handles)
-        self.net = TutteNet(
-            options.layers, options.resolution, options.frames, options.boundary
-        ).to(options.device)
+        with _stepping(options):
+            self.net = TutteNet(
+                options.layers, options.resolution, options.frames, options.boundary
+            ).to(options.device)
         self.generator = torch.Generator().manual_seed(options.seed)
         self._break_symmetry()
         self._set_density(torch.full((len(self.pool),), 1.0 / len(self.pool)).double())
@@ -315,9 +316,12 @@ class ElasticSolve:
             for group in self._optimiser.param_groups:
                 group["lr"] = learning_rate
             for _ in range(steps):
-                self._optimiser.zero_grad(set_to_none=True)
-                self._loss(self._draw()).backward()
-                self._optimiser.step()
+                self._step(self._optimiser)
+
+    def _step(self, optimiser: torch.optim.Optimizer) -> None:
+        optimiser.zero_grad(set_to_none=True)
+        self._loss(self._draw()).backward()
+        optimiser.step()
 
     def start_from(self, other: ElasticSolve) -> None:
         """Go on from another solve's net of the same kind, as its own steps would."""
@@ -403,10 +407,7 @@ class ElasticSolve:
                     break
                 if watch is not None:
                     watch()
-                loss = self._loss(self._draw())
-                optimiser.zero_grad(set_to_none=True)
-                loss.backward()
-                optimiser.step()
+                self._step(optimiser)
                 schedule.step()
         except KeyboardInterrupt:
             status = "interrupted"
