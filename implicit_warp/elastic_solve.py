@@ -173,7 +173,7 @@ def elastic(
             nothing or contradict each other.
     """
     options = (options or ElasticOptions()).with_changes(changes)
-    with progress_bar("elastic", progress) as update:
+    with progress_bar("elastic", progress) as update, _stepping(options):
         return ElasticSolve(shape, handles, options).run(update=update, callback=callback)
 
 
@@ -254,10 +254,9 @@ class ElasticSolve:
         self.diagonal = float(torch.tensor(shape.bounds).diff(dim=0).norm())
         self._set_domain()
         self.retarget(handles)
-        with _stepping(options):
-            self.net = TutteNet(
-                options.layers, options.resolution, options.frames, options.boundary
-            ).to(options.device)
+        self.net = TutteNet(
+            options.layers, options.resolution, options.frames, options.boundary
+        ).to(options.device)
         self.generator = torch.Generator().manual_seed(options.seed)
         self._break_symmetry()
         self._set_density(torch.full((len(self.pool),), 1.0 / len(self.pool)).double())
