@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import threading
 from contextlib import contextmanager
 from pathlib import Path
@@ -80,8 +81,10 @@ class ExportPanel:
         if share != self._bar.value:
             self._bar.value = share
 
-    def _done(self, client: Any, path: Path, text: str, good: bool | None = None) -> None:
-        self._said.content, self._said.visible = markup.report(text, good), True
+    def _done(
+        self, client: Any, path: Path, text: str, good: bool | None = None, command: str = ""
+    ) -> None:
+        self._said.content, self._said.visible = markup.report(text, good, command), True
         client.send_file_download(path.name, path.read_bytes())
 
     def _export(self, event: Any) -> None:
@@ -101,13 +104,36 @@ class ExportPanel:
             if what == "Handles":
                 save_edit(editor.session.state, path, editor.solve_table)
             elif what == "Warp":
-                warp = editor.solved()
+                warp, before = editor.solved(), editor.source.map
                 if warp is None:
                     raise InputError("warp", 0, "nothing is moved yet", "move a handle first")
-                save(warp, path)
+                save(warp if before is None else warp @ before, path)
             else:
                 self._picture(path)
-        self._done(client, path, f"Wrote {path.name}.")
+        command = self._replay(path) if what == "Handles" else ""
+        self._done(client, path, f"Wrote {path.name}.", command=command)
+
+    def _replay(self, handles: Path) -> str:
+        """The command that makes the mesh from a handle file, to be run in the working folder."""
+        editor = self._editor
+
+        def named(path: Path) -> str:
+            path = path.resolve()
+            inner = path.is_relative_to(editor.folder)
+            return str(path.relative_to(editor.folder) if inner else path)
+
+        shape, under = editor.inputs
+        mesh = handles.with_name(f"{handles.stem}-again{self._mesh_suffix()}")
+        return shlex.join([
+            "implicit-warp", "deform", named(shape),
+            *(() if under is None else ("--under", named(under))),
+            "--handles", named(handles), "-o", named(mesh),
+            "--resolution", str(int(self.resolution.value)),
+        ])  # fmt: skip
+
+    def _mesh_suffix(self) -> str:
+        suffix = Path(self.file.value.strip()).suffix
+        return suffix if suffix.lower() in MESHES else MESHES[0]
 
     def _film(self, what: str, client: Any) -> None:
         """A turn around the shape as it is shown, or its way from rest and back."""

@@ -75,13 +75,19 @@ def legend(scale: ColorScale) -> str:
     )
 
 
-def report(text: str, good: bool | None = None) -> str:
-    """What became of an export, line by line; green or red at its side if it is a verdict."""
+def report(text: str, good: bool | None = None, command: str = "") -> str:
+    """What became of an export, line by line; green or red at its side if it is a verdict; and the
+    command that does the same again."""
     side = {None: "#ced4da", True: "#40a02b", False: "#d6336c"}[good]
+    again = (
+        f'\nThe same mesh again:<br><code style="font-size:11px">{escape(command)}</code>'
+        if command
+        else ""
+    )
     return (
         f'<div style="margin:0 12px 8px;padding:4px 9px;border-left:3px solid {side};'
         f"background:#f8f9fa;font-size:12px;line-height:1.45;white-space:pre-wrap;"
-        f'overflow-wrap:anywhere">{escape(text)}</div>'
+        f'overflow-wrap:anywhere">{escape(text)}{again}</div>'
     )
 
 

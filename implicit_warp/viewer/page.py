@@ -115,7 +115,7 @@ class Editor:
             k: v for k, v in asdict(self.solver_options).items() if v != usual[k]
         }  # fmt: skip
         self.session = EditSession(state)
-        self.autosave = Autosave(self.session, self.source.path, self.folder)
+        self.autosave = Autosave(self.session, self.source.path, self.folder, self.inputs[1])
         self.drags: deque[float] = deque(maxlen=1000)
         self.final: Update | None = None
         self.last: Update | None = None
@@ -314,10 +314,8 @@ class Editor:
         self.solve_if_moved()
 
     def recover(self) -> None:
-        """Go on with the edit that was saved automatically."""
-        if self.autosave.left_over is None:
-            return
-        state, _ = load_edit(self.autosave.left_over, self.rest)
+        """Go on with the edit that was saved automatically; see `Autosave.read_left_over`."""
+        state = self.autosave.read_left_over(self.rest)
         self.session.change(lambda _: state)
         self.autosave.save_if_changed()
         self.autosave.forget_left_over()

@@ -2,17 +2,40 @@
 
 from __future__ import annotations
 
-import numpy as np
+import shlex
+from contextlib import contextmanager
+from pathlib import Path
 
+import numpy as np
+import pytest
+
+from implicit_warp.axial import Twist
 from implicit_warp.checking import check
 from implicit_warp.cli import main
-from implicit_warp.files import load
-from implicit_warp.mesh_files import read_mesh
+from implicit_warp.files import load, save
 from implicit_warp.viewer import regions
+from implicit_warp.viewer.page import Editor
 from tests.viewer.conftest import EXAMPLES
 from tests.viewer.driver import PATIENCE, Tab, seen_vertex, until
 
 LEFT, RIGHT = (-1.5, -0.55), (1.5, -0.5)
+
+BAR_HANDLES = """
+[[handle]]
+region = "below(-0.7)"
+hold = true
+
+[[handle]]
+region = "above(0.7)"
+translate = [0.3, 0, 0]
+
+[solve]
+layers = 6
+resolution = 5
+steps = 50
+samples = 256
+handle_samples = 64
+"""
 
 
 def make_handles(tab: Tab, held: tuple[float, float], moved: tuple[float, float]) -> None:
@@ -75,9 +98,73 @@ def test_from_the_command_to_an_exported_bent_part_in_six_actions(browser, edito
     replayed = load(again.with_suffix(".safetensors"))
     points = np.asarray(editor.source.preview.vertices)
     np.testing.assert_allclose(replayed(points), editor.final.warp(points), atol=1e-9)
-    a, b = read_mesh(path), read_mesh(again)
-    np.testing.assert_allclose(a.vertices, b.vertices, atol=1e-5)
+    assert again.read_bytes() == path.read_bytes()
     assert np.isfinite(list(editor.drags)).all()
+
+
+@pytest.fixture
+def twisted_bar(tmp_path, monkeypatch):
+    """In the working folder: a bar, its handles, and a map to edit it under."""
+    monkeypatch.chdir(tmp_path)
+    Path("a bar.py").write_text("import fields as sdf\nshape = sdf.box((0.4, 0.4, 2.0))\n")
+    Path("bar.toml").write_text(BAR_HANDLES)
+    save(Twist(40.0), "twist.safetensors")
+
+
+@contextmanager
+def opened(browser, handles=None, warp=None):
+    """A tab with an editor of the bar, which ends by a crash."""
+    pytest.importorskip("viser")
+    editor = Editor("a bar.py", handles, warp=warp, port=8340)
+    try:
+        tab = Tab(browser, editor)
+        yield tab
+        tab.page.close()
+    finally:
+        editor.close(crashed=True)
+
+
+@pytest.mark.usefixtures("twisted_bar")
+def test_the_command_the_page_shows_makes_the_same_mesh_of_an_edit_under_a_saved_map(browser):
+    with opened(browser, "bar.toml", "twist.safetensors") as tab:
+        until(lambda: tab.editor.final is not None, "the handle file's solve ends")
+        tab.editor.export.resolution.value = 40
+        tab.press("Export the mesh")
+        tab.notice("watertight")
+        tab.open("Other files")
+        tab.press("Handles")
+        command = tab.page.locator("code")
+        command.wait_for()
+        words = shlex.split(command.inner_text())
+        tab.press("Warp")
+        tab.notice("Wrote a bar-deformed.safetensors")
+    assert words[0] == "implicit-warp"
+    assert main(words[1:]) == 0
+    again = Path(words[words.index("-o") + 1])
+    assert again.read_bytes() == Path("a bar-deformed.stl").read_bytes()
+    points = np.random.default_rng(0).normal(size=(100, 3))
+    replayed, saved = load(again.with_suffix(".safetensors")), load("a bar-deformed.safetensors")
+    np.testing.assert_array_equal(replayed(points), saved(points))
+
+
+@pytest.mark.usefixtures("twisted_bar")
+def test_what_a_crash_left_is_taken_up_in_the_page_under_its_map_only(browser):
+    with opened(browser, "bar.toml", "twist.safetensors") as tab:
+        tab.press("Invert")
+        until(lambda: tab.editor.session.state.selection is not None, "all is picked")
+        before = tab.editor.session.state
+        assert tab.editor.autosave.save_if_changed()
+    with opened(browser) as tab:
+        tab.press("Go on with it")
+        tab.notice("it was begun under the map")
+        assert not tab.editor.session.state.handles
+    with opened(browser, warp="twist.safetensors") as tab:
+        tab.press("Go on with it")
+        until(lambda: tab.editor.final is not None, "it is taken up and solved")
+        state, rest = tab.editor.session.state, tab.editor.rest
+        assert [h.held for h in state.handles] == [True, False]
+        np.testing.assert_array_equal(state.selection(rest), before.selection(rest))
+        tab.page.get_by_text("Go on with it").wait_for(state="hidden")
 
 
 def test_a_rectangle_picks_what_is_seen_and_can_be_undone(browser, editor):
@@ -198,8 +285,6 @@ def test_distortion_is_shown_in_colours_with_their_legend(browser, editor):
 
 
 def test_a_script_that_changes_is_shown_and_a_broken_one_is_told_of(browser, tmp_path):
-    from implicit_warp.viewer.page import Editor
-
     script = tmp_path / "ball.py"
     script.write_text("import fields as sdf\nshape = sdf.sphere(1)\n")
     editor = Editor(script, port=8320, folder=tmp_path)
