@@ -150,7 +150,8 @@ class ViewPanel:
             number = "xyz".index(axis)
             at = float(low[number] + self.at.value * (high[number] - low[number]))
             margin = 0.08 * editor.size
-            box = np.stack([low - margin, high + margin]).astype(np.float64)
+            below = margin * np.array([1.0, 1.0, 0.25])  # a shape at rest stands on the floor
+            box = np.stack([low - below, high + margin]).astype(np.float64)
             draw = _fill if kind == FILLED else _lines
             draw(scene, editor.deformed_field(), (axis, at), box)
 

@@ -178,10 +178,10 @@ class Tab:
         control.press("Enter")
 
     def steady(self, path: Path) -> None:
-        """A screenshot of what the page has come to: two in a row are the same."""
+        """A screenshot of what the page has come to: two that are far apart are the same."""
         last, now = b"", self.picture()
         while now != last:
-            self.settle(1.5)
+            self.settle(6.0)  # sections are sent late, and drawn slowly without a GPU
             last, now = now, self.picture()
         path.write_bytes(now)
 
