@@ -32,28 +32,24 @@ def take(size: tuple[int, int], suffix: str) -> None:
         # Chromium renders by software here, and the page says so: not a part of the picture.
         tab.page.add_style_tag(content=".mantine-Notifications-root { display: none !important; }")
         until(lambda: editor.final is not None, "the handle file's solve ends")
-        tab.settle(4.0)
-        tab.picture(PICTURES / f"editor{suffix}.png")
-        if suffix:
-            browser.close()
-            editor.close()
-            return
-        editor.panel.colour.value = "Stretch"
-        editor._recolour()
-        editor.panel.section.value = "y"
-        editor._show_section()
-        tab.settle(4.0)
-        tab.picture(PICTURES / "editor-distortion.png")
-        editor.server.scene.remove_by_name("/section")
-        editor.panel.colour.value = "Handles"
-        editor._recolour()
-        editor.panel.steps.value = "Reset"
-        editor._step("Reset")
-        tab.settle(2.0)
-        tab.click_shape(seen_vertex(editor, 0.0, -0.2))
-        until(lambda: editor.session.state.selection is not None, "the brush picks")
-        tab.settle(2.0)
-        tab.picture(PICTURES / "editor-select.png")
+        tab.steady(PICTURES / f"editor{suffix}.png")
+        if not suffix:
+            tab.open("1 Select")
+            tab.open("2 Handles")
+            tab.open("4 See")
+            tab.choose("Colours", "Stretch")
+            tab.choose("Section", "Filled")
+            tab.steady(PICTURES / "editor-distortion.png")
+            tab.choose("Section", "None")
+            tab.choose("Colours", "Handles")
+            tab.open("4 See")
+            tab.open("2 Handles")
+            tab.open("1 Select")
+            tab.press("Reset")
+            editor.solver.wait()
+            tab.click_shape(seen_vertex(editor, 0.0, -0.2))
+            until(lambda: editor.session.state.selection is not None, "the brush picks")
+            tab.steady(PICTURES / "editor-select.png")
         browser.close()
         editor.close()
 

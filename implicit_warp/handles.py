@@ -16,6 +16,8 @@ A handle file is TOML, with one table a handle and the same words as the Python 
 
     [solve]                         # optional: options of the elastic solve
     steps = 300
+
+A table ``[editor]`` is the browser editor's own, and is passed over here.
 """
 
 from __future__ import annotations
@@ -142,7 +144,7 @@ def load_handles(path: str | Path) -> tuple[list[Handle], dict[str, Any]]:
         raise InputError(
             "handles", str(path), f"not a TOML file: {error}", "mend the line it names"
         ) from error
-    unknown = sorted(content.keys() - {"handle", "solve"})
+    unknown = sorted(content.keys() - {"handle", "solve", "editor"})
     if unknown:
         raise InputError(
             "handles",
@@ -163,9 +165,18 @@ def load_handles(path: str | Path) -> tuple[list[Handle], dict[str, Any]]:
 
 
 def save_handles(
-    path: str | Path, handles: Iterable[Handle], solve: Mapping[str, Any] | None = None
+    path: str | Path,
+    handles: Iterable[Handle],
+    solve: Mapping[str, Any] | None = None,
+    editor: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a handle file that `load_handles` reads back.
+
+    Args:
+        path: where to.
+        handles: what is held and moved.
+        solve: options of the elastic solve.
+        editor: what the browser editor keeps there.
 
     Raises:
         InputError: a region was made by a function that no text can name.
@@ -174,16 +185,7 @@ def save_handles(
 
     blocks = []
     for handle in handles:
-        text = repr(handle.region)
-        try:
-            fields.parse(text)
-        except InputError as error:
-            raise InputError(
-                "handles",
-                text,
-                f"the region of {handle.name!r} cannot be written as text",
-                "build it from the fields vocabulary",
-            ) from error
+        text = region_text(handle.region, handle.name)
         lines = ["[[handle]]", f"name = {_toml(handle.name)}", f"region = {_toml(text)}"]
         if handle.is_held:
             lines.append("hold = true")
@@ -191,10 +193,36 @@ def save_handles(
         if handle.weight != 1.0:
             lines.append(f"weight = {_toml(handle.weight)}")
         blocks.append("\n".join(lines))
-    if solve:
-        blocks.append("\n".join(["[solve]", *(f"{k} = {_toml(v)}" for k, v in solve.items())]))
+    for name, table in (("solve", solve), ("editor", editor)):
+        if table:
+            blocks.append(
+                "\n".join([f"[{name}]", *(f"{k} = {_toml(v)}" for k, v in table.items())])
+            )
     with atomic_write(path) as temporary:
         temporary.write_text("\n\n".join(blocks) + "\n", encoding="utf-8")
+
+
+def region_text(region: Field, name: str) -> str:
+    """A region as the text that `fields.parse` reads.
+
+    Args:
+        region: the region.
+        name: what it is called in errors.
+
+    Raises:
+        InputError: it was made by a function that no text can name.
+    """
+    text = repr(region)
+    try:
+        fields.parse(text)
+    except InputError as error:
+        raise InputError(
+            "handles",
+            text,
+            f"the region of {name!r} cannot be written as text",
+            "build it from the fields vocabulary",
+        ) from error
+    return text
 
 
 def _from_table(table: Mapping[str, Any], where: str) -> Handle:

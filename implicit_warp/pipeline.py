@@ -27,6 +27,7 @@ from implicit_warp.extraction.lattice import lattice_for
 from implicit_warp.files import atomic_write, refuse_target, save
 from implicit_warp.handles import Handle
 from implicit_warp.layers import determinant_3x3
+from implicit_warp.maps import Map
 from implicit_warp.mesh_files import WRITABLE, write_mesh
 from implicit_warp.warp import Warp
 
@@ -49,7 +50,7 @@ class Outcome:
     """What `deform_to_files` made.
 
     Attributes:
-        warp: the map.
+        warp: the map that was solved for.
         mesh: the deformed surface; None if the solve was interrupted.
         verdict: the check of the file on disk; None if the solve was interrupted.
         report: everything in plain values, as written to the report file.
@@ -66,6 +67,7 @@ def deform_to_files(
     handles: Sequence[Handle],
     mesh_path: str | Path,
     *,
+    under: Map | None = None,
     options: ElasticOptions | None = None,
     resolution: int = 192,
     sharp: bool = True,
@@ -81,6 +83,8 @@ def deform_to_files(
         shape: the rest shape.
         handles: what is held and moved.
         mesh_path: the deformed mesh, format by suffix.
+        under: a map that deforms the shape before: the handles are on what it leaves, and the map
+            that is saved is the solved one after this one.
         options: of the elastic solve.
         resolution: voxels along the longest side of the deformed shape's box.
         sharp: are edges and corners of the shape kept?
@@ -110,10 +114,12 @@ def deform_to_files(
         raise InputError("path", paths, "two results would share a file", "name them apart")
     for path, suffixes in targets:
         refuse_target(path, suffixes)
+    if under is not None:
+        shape = deform(shape, under)
     lattice_for(shape, resolution, None)
     warp = elastic(shape, handles, options=options, progress=progress)
     if warp_path is not None:
-        save(warp, warp_path)
+        save(warp if under is None else warp @ under, warp_path)
     report: dict[str, Any] = {
         "implicit_warp": implicit_warp.__version__,
         "solve": warp.report.to_dict(),

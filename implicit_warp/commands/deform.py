@@ -43,6 +43,9 @@ class Deform(Common):
     """Handle file (.toml); its [solve] table may set options of the solve."""
     out: Out
     """The deformed mesh: .stl, .obj, .ply, .off, .glb or .3mf."""
+    under: Path | None = None
+    """A saved map (.safetensors) that deforms the shape first, as in `view --warp`: the handles are
+    on what it leaves, and the map that is saved is the composition."""
     resolution: int = 192
     """Voxels along the longest side of the result's box."""
     sharp: bool = True
@@ -65,18 +68,20 @@ class Deform(Common):
     def run(self) -> int:
         """Carry out the command; returns the exit code."""
         from implicit_warp.elastic_solve import ElasticOptions
+        from implicit_warp.files import load
         from implicit_warp.handles import load_handles
         from implicit_warp.pipeline import deform_to_files
         from implicit_warp.shapes import load_shape
 
         warp_path = self.warp or self.out.with_suffix(".safetensors")
-        if warp_path.resolve() == self.shape.resolve():
-            raise InputError(
-                "warp",
-                str(warp_path),
-                "the map would replace the learned field that is read",
-                "name the map's file with --warp",
-            )
+        for read, what in ((self.shape, "learned field"), (self.under, "map")):
+            if read is not None and warp_path.resolve() == read.resolve():
+                raise InputError(
+                    "warp",
+                    str(warp_path),
+                    f"the map would replace the {what} that is read",
+                    "name the map's file with --warp",
+                )
         shape = load_shape(self.shape)
         handles, solve = load_handles(self.handles)
         given = {"steps": self.steps, "layers": self.layers, "seed": self.seed}
@@ -85,6 +90,7 @@ class Deform(Common):
             shape,
             handles,
             self.out,
+            under=None if self.under is None else load(self.under),
             options=ElasticOptions.from_mapping(solve),
             resolution=self.resolution,
             sharp=self.sharp,

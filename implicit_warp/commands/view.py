@@ -28,7 +28,7 @@ class View(Common):
     """Handle file (.toml) to begin with."""
     warp: Path | None = None
     """Saved map (.safetensors) under which the shape is edited; the handle file that is saved then
-    belongs to the deformed shape."""
+    belongs to the deformed shape: `deform --under`."""
     host: str = "127.0.0.1"
     """Address to listen on; others than this one let other machines in, without a password."""
     port: int = 8080

@@ -9,6 +9,11 @@
 `live_solver`       the thread that follows a drag, and solves in full after it
 `export`            files, within the working folder
 `autosave`          what a crash would lose
-`page` and others   the page, on viser (extra ``viewer``)
+`page`              the page (viser, extra ``viewer``), and what ties the panels together
+`..._panel`         the panels: 1 Select, 2 Handles, 3 Drag, 4 See, 5 Export
+`shown`             the mesh in the page; `region_parts` cuts it along the handles' borders
+`stage`, `markup`   camera, lights and floor; figures and legends as HTML
+`controls`          setting what controls show
+`guard`             errors of callbacks, shown in the page
 ==================  ==========================================================================
 """

@@ -65,6 +65,13 @@ class EditHandle:
         turn = Rotation.from_rotvec(self.rotvec, degrees=True)
         return np.add(self.pivot, self.shift), turn.as_quat(scalar_first=True)
 
+    def about(self, pivot: np.ndarray) -> EditHandle:
+        """The same motion, with its gizmo and the centre of its rotation at another place."""
+        turn = Rotation.from_rotvec(self.rotvec, degrees=True)
+        old, new = np.array(self.pivot), np.array(_triple(pivot))
+        shift = turn.apply(new - old) + old + self.shift - new
+        return replace(self, pivot=_triple(new), shift=_triple(shift))
+
     def handle(self, amount: float = 1.0) -> Handle:
         """For a solve, with a share of its motion: the same words that a handle file has."""
         if self.held:

@@ -30,6 +30,7 @@ class ShapeSource:
 
     Attributes:
         path: the file.
+        map: the saved map, or None.
         field: its shape, under the map if there is one.
         preview: a mesh of the shape at rest, coarse enough to follow a drag.
 
@@ -39,7 +40,7 @@ class ShapeSource:
 
     def __init__(self, path: str | Path, warp: str | Path | None = None) -> None:
         self.path = Path(path)
-        self._map = None if warp is None else load(warp)
+        self.map = None if warp is None else load(warp)
         self._digest = b""
         self.field: Field
         self.preview: trimesh.Trimesh
@@ -54,8 +55,8 @@ class ShapeSource:
         digest = self._now()
         self._digest = digest  # also of a broken file: it is reported once
         field = load_shape(self.path)
-        if self._map is not None:
-            field = deform(field, self._map)
+        if self.map is not None:
+            field = deform(field, self.map)
         preview = preview_mesh(field)
         self.field, self.preview = field, preview
 

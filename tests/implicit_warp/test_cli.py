@@ -15,6 +15,7 @@ import implicit_warp as iw
 from implicit_warp.cli import COMMANDS, main
 from implicit_warp.errors import InputError
 from implicit_warp.mesh_files import read_mesh, write_mesh
+from implicit_warp.shapes import load_shape
 
 SCRIPT = """
 import fields as sdf
@@ -234,6 +235,31 @@ def test_the_warp_is_saved_beside_the_mesh_unless_told_otherwise(part):
     arguments = ["deform", f"{part}/part.py", "--handles", f"{part}/part.toml", "--steps", "2"]
     assert main([*arguments, "-o", f"{part}/a.stl", "--resolution", "32"]) == 0
     assert iw.load(part / "a.safetensors").report.steps == 2
+
+
+def test_a_shape_is_deformed_after_a_saved_map_and_the_composition_is_saved(part):
+    shift = iw.Affine.from_matrix(np.array([[1.0, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0]]))
+    iw.save(shift, part / "before.safetensors")
+    arguments = ["deform", f"{part}/part.py", "--handles", f"{part}/part.toml", "--steps", "20"]
+    arguments += ["-o", f"{part}/a.stl", "--resolution", "48"]
+    assert main([*arguments, "--under", f"{part}/before.safetensors"]) == 0
+    vertices = read_mesh(part / "a.stl").vertices
+    foot = vertices[vertices[:, 2] < -1.4]
+    np.testing.assert_allclose(foot.mean(axis=0)[0], 2.0, atol=0.1)
+    saved = iw.load(part / "a.safetensors")
+    np.testing.assert_array_equal(saved.maps[0](np.zeros(3)), shift(np.zeros(3)))
+    shape = load_shape(part / "part.py")
+    assert np.abs(shape(saved.inv(vertices))).max() < 0.02
+
+
+def test_a_map_is_not_saved_over_the_one_that_is_read(part, capsys):
+    iw.save(iw.Affine(), part / "a.safetensors")
+    before = (part / "a.safetensors").read_bytes()
+    arguments = ["deform", f"{part}/part.py", "--handles", f"{part}/part.toml"]
+    arguments += ["-o", f"{part}/a.stl", "--under", f"{part}/a.safetensors"]
+    assert main(arguments) == 2
+    assert "replace the map that is read" in capsys.readouterr().err
+    assert (part / "a.safetensors").read_bytes() == before
 
 
 def test_results_may_not_share_a_file(part, capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import types
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from fields.grid_files import save_grid
 from implicit_warp.cli import main
 from implicit_warp.elastic_solve import ElasticOptions
 from implicit_warp.errors import FileFormatError, InputError
+from implicit_warp.handles import load_handles
 from implicit_warp.shapes import load_shape
 from implicit_warp.viewer.autosave import Autosave
 from implicit_warp.viewer.export import MESHES, export_mesh, inside
@@ -127,12 +129,21 @@ def test_the_file_that_is_edited_is_never_replaced(tmp_path):
 # --- exports ---
 
 
-@pytest.fixture(scope="module")
-def edited(tmp_path_factory):
-    """The bar, edited in the page's way, its export, and its handle file."""
+@pytest.fixture(scope="module", params=["as it is", "under a map"])
+def edited(tmp_path_factory, request):
+    """The bar, or what an earlier edit left of it, edited in the page's way; its export and its
+    handle file."""
     folder = tmp_path_factory.mktemp("edited")
     (folder / "part.py").write_text(BAR)
-    shape, state, finals = load_shape(folder / "part.py"), EditState(HANDLES), []
+    before = None
+    if request.param == "under a map":
+        before = folder / "before.safetensors"
+        turned = EditState((HANDLES[0], replace(HANDLES[1], rotvec=(0, 0, 50), shift=(0, 0, 0))))
+        options = ElasticOptions.from_mapping(SOLVE)
+        shape = load_shape(folder / "part.py")
+        iw.save(iw.elastic(shape, solve_handles(turned), options=options), before)
+    source, state, finals = ShapeSource(folder / "part.py", before), EditState(HANDLES), []
+    shape = source.field
     solver = LiveSolver(
         shape, np.zeros((1, 3)), lambda u: finals.append(u) if u.final else None,
         finals.append, ElasticOptions.from_mapping(SOLVE),
@@ -148,7 +159,8 @@ def edited(tmp_path_factory):
         shape, final.warp, folder / "page.stl", 40, lambda done, total: calls.append((done, total))
     )
     save_edit(state, folder / "page.toml", SOLVE)
-    return folder, final.warp, report, calls
+    warp = final.warp if source.map is None else final.warp @ source.map
+    return folder, warp, report, calls
 
 
 def test_an_export_is_a_checked_mesh_that_says_how_far_it_is(edited):
@@ -164,8 +176,10 @@ def test_an_export_is_a_checked_mesh_that_says_how_far_it_is(edited):
 
 def test_replaying_the_handle_file_on_the_command_line_gives_the_same_files(edited, capsys):
     folder, warp, _, _ = edited
+    before = folder / "before.safetensors"
+    under = ("--under", str(before)) if before.exists() else ()
     code = main(["deform", f"{folder}/part.py", "--handles", f"{folder}/page.toml",
-                 "-o", f"{folder}/line.stl", "--resolution", "40"])  # fmt: skip
+                 "-o", f"{folder}/line.stl", "--resolution", "40", *under])  # fmt: skip
     assert code == 0, capsys.readouterr()
     assert (folder / "line.stl").read_bytes() == (folder / "page.stl").read_bytes()
     iw.save(warp, folder / "page.safetensors")
@@ -308,6 +322,64 @@ def test_of_two_crashes_the_newer_edit_is_offered(tmp_path):
     _, autosave = edit(tmp_path)
     state, _ = load_edit(autosave.left_over, np.zeros((1, 3)))
     assert [h.name for h in state.handles] == ["head"]
+
+
+def test_the_selection_comes_back_with_and_without_handles(tmp_path):
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    picked = fields.sphere(0.7, (0.1, 1 / 3, 0.0)) | fields.box(0.5)
+    for handles in ((), HANDLES):
+        session, crashed = edit(tmp_path)
+        session.change(lambda _, h=handles: EditState(h, picked))
+        assert crashed.save_if_changed()
+        _, autosave = edit(tmp_path)
+        state = autosave.read_left_over(points)
+        assert [h.name for h in state.handles] == [h.name for h in handles]
+        np.testing.assert_array_equal(state.selection(points), picked(points))
+        autosave.forget_left_over()
+        with pytest.raises(InputError, match="no unfinished edit"):
+            autosave.read_left_over(points)
+    session.change(lambda s: replace(s, selection=None))
+    crashed.save_if_changed()
+    assert edit(tmp_path)[1].read_left_over(points).selection is None
+
+
+def test_a_selection_that_is_cleared_is_not_offered_later(tmp_path):
+    session, autosave = edit(tmp_path)
+    session.change(lambda s: replace(s, selection=fields.box(0.5)))
+    autosave.save_if_changed()
+    session.change(lambda s: replace(s, selection=None))
+    autosave.save_if_changed()
+    assert edit(tmp_path)[1].left_over is None
+
+
+def test_an_edit_is_taken_up_under_the_map_it_was_begun_with_only(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    part, points = Path("part.py"), np.zeros((1, 3))
+    maps = (None, Path("a.safetensors"), Path("b.safetensors"))
+    for begun in maps:
+        session = EditSession()
+        crashed = Autosave(session, part, tmp_path, begun)
+        session.change(lambda s: s.with_handle(HANDLES[0]))
+        crashed.save_if_changed()
+        for now in maps:
+            autosave = Autosave(EditSession(), part, tmp_path, now)
+            if now == begun:
+                assert autosave.read_left_over(points).get("foot").held
+                continue
+            with pytest.raises(InputError, match="begun under") as caught:
+                autosave.read_left_over(points)
+            assert str(begun.resolve() if begun else "no map") in str(caught.value)
+            assert "--warp" in caught.value.remedy
+            assert autosave.left_over is not None, "it is still there"
+
+
+def test_what_is_saved_is_a_handle_file_too(tmp_path):
+    session, autosave = edit(tmp_path)
+    session.change(lambda _: EditState(HANDLES, fields.box(0.5)))
+    autosave.save_if_changed()
+    handles, solve = load_handles(autosave.path)
+    assert [h.name for h in handles] == ["foot", "head"]
+    assert solve == {}
 
 
 def test_an_edit_that_has_become_empty_is_not_offered_later(tmp_path):

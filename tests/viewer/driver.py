@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import shutil
 import time
 from collections.abc import Callable
@@ -13,7 +14,9 @@ import numpy as np
 from implicit_warp.viewer import regions
 from implicit_warp.viewer.page import Editor
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+_SCRIPT = Path(__file__).parents[2] / "scripts" / "system_libraries.py"
+BROWSERS: tuple[str, ...] = runpy.run_path(str(_SCRIPT), run_name="system_libraries")["BROWSERS"]
+"""Commands of browsers: those that the script looks for, which installs one."""
 
 FLAGS = (
     "--no-sandbox",
@@ -25,6 +28,10 @@ FLAGS = (
 
 PATIENCE = 60.0
 """Seconds after which something that should happen has not: shared machines are slow at random."""
+
+
+WINDOW = (1040, 660)
+"""Pixels; a small one, because they are rendered by software."""
 
 
 def browser_path() -> str | None:
@@ -51,7 +58,7 @@ class Tab:
         editor: what is on the other side.
     """
 
-    def __init__(self, browser: Any, editor: Editor, size: tuple[int, int] = (1280, 800)) -> None:
+    def __init__(self, browser: Any, editor: Editor, size: tuple[int, int] = WINDOW) -> None:
         known = set(editor.server.get_clients())
         self.editor, self.size = editor, np.array(size, np.float64)
         self.page = browser.new_page()
@@ -81,15 +88,27 @@ class Tab:
         """(2,) the pixel where a point (3,) is seen."""
         camera = self._client.camera
         view = regions.Camera(camera.position, camera.wxyz, camera.fov, camera.aspect)
-        return view.on_screen(np.asarray(point, np.float64)[None])[0][0] * self.size
+        canvas = self.page.locator("canvas").first.bounding_box()  # the panel is beside it
+        place = view.on_screen(np.asarray(point, np.float64)[None])[0][0]
+        return place * (canvas["width"], canvas["height"]) + (canvas["x"], canvas["y"])
 
-    def click_shape(self, point: Any, key: str | None = None) -> None:
+    def click_shape(self, point: Any) -> None:
         """Click where a point of the shape is seen."""
         self.page.mouse.click(*self.on_screen(point))
 
     def press(self, text: str) -> None:
         """Press a button."""
         self.page.get_by_role("button", name=text, exact=True).first.click()
+
+    def open(self, folder: str) -> None:
+        """Open a folder of the panel, or close it."""
+        self.page.get_by_text(folder, exact=True).first.click()
+        self.settle(0.4)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose from a list."""
+        self.page.get_by_label(label, exact=True).first.click()
+        self.page.get_by_role("option", name=option, exact=True).first.click()
 
     def drag(self, start: Any, way: Any, steps: int = 12, pause: float = 0.05) -> None:
         """Drag from a pixel by so many pixels; the button stays down until `drop`."""
@@ -145,15 +164,34 @@ class Tab:
         """Wait until a text is on the page."""
         self.page.wait_for_selector(f"text={text}", timeout=1000 * PATIENCE)
 
+    def dismiss(self) -> None:
+        """Close all notices: they may lie over the shape."""
+        close = self.page.locator(".mantine-Notification-closeButton")
+        while close.count():
+            close.first.click()
+            self.settle(0.5)
+
     def fill(self, label: str, value: str) -> None:
         """Type into a field."""
         control = self.page.get_by_label(label, exact=True).first
         control.fill(value)
         control.press("Enter")
 
+    def steady(self, path: Path) -> None:
+        """A screenshot of what the page has come to: two that are far apart are the same."""
+        last, now = b"", self.picture()
+        while now != last:
+            self.settle(6.0)  # sections are sent late, and drawn slowly without a GPU
+            last, now = now, self.picture()
+        path.write_bytes(now)
+
     def picture(self, path: Path | None = None) -> bytes:
         """A screenshot."""
         return self.page.screenshot(path=path)
+
+    def drawn(self) -> bytes:
+        """A screenshot of the shape, without the panel beside it."""
+        return self.page.screenshot(clip=self.page.locator("canvas").first.bounding_box())
 
 
 def seen_vertex(editor: Editor, x: float, y: float, reach: float = 0.12) -> np.ndarray:
