@@ -315,9 +315,12 @@ class ElasticSolve:
             for group in self._optimiser.param_groups:
                 group["lr"] = learning_rate
             for _ in range(steps):
-                self._optimiser.zero_grad(set_to_none=True)
-                self._loss(self._draw()).backward()
-                self._optimiser.step()
+                self._step(self._optimiser)
+
+    def _step(self, optimiser: torch.optim.Optimizer) -> None:
+        optimiser.zero_grad(set_to_none=True)
+        self._loss(self._draw()).backward()
+        optimiser.step()
 
     def start_from(self, other: ElasticSolve) -> None:
         """Go on from another solve's net of the same kind, as its own steps would."""
@@ -403,10 +406,7 @@ class ElasticSolve:
                     break
                 if watch is not None:
                     watch()
-                loss = self._loss(self._draw())
-                optimiser.zero_grad(set_to_none=True)
-                loss.backward()
-                optimiser.step()
+                self._step(optimiser)
                 schedule.step()
         except KeyboardInterrupt:
             status = "interrupted"

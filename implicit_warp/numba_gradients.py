@@ -25,7 +25,7 @@ from torch import Tensor
 from fields.jit import inlined, point_kernel
 from implicit_warp import numba_backend
 from implicit_warp.layers import LayerStack
-from implicit_warp.numba_backend import apply_cells
+from implicit_warp.numba_rows import add_to_row, apply_cells
 from implicit_warp.numba_tables import tabulate
 
 _PARTS = 4
@@ -64,11 +64,7 @@ class _Traverse(torch.autograd.Function):
     @staticmethod
     def forward(ctx, points, tables, transitions, stack, jacobian, inverse):
         found = np.empty((len(tables), len(points)), dtype=np.int32)
-        location = (
-            numba_backend.compiled_location(stack, points.dtype)
-            if inverse
-            else numba_backend.nowhere(points.dtype)
-        )
+        location = numba_backend.compiled_location(stack, points.dtype) if inverse else None
         arrays = numba_backend.as_tables(tables, transitions)
         image, jacobians = numba_backend.run(points, arrays, location, stack.mesh, jacobian, found)
         ctx.found, ctx.with_jacobian = found, jacobian
@@ -123,9 +119,9 @@ def _backward(
     blocks = (n + _BLOCK - 1) // _BLOCK
     for part in prange(_PARTS):
         history = np.empty((n_layers, rows, _BLOCK), kind)
-        linear = np.empty((n_layers, 4, _BLOCK), kind)
+        linear = np.empty((n_layers, 4 * _BLOCK), kind)
+        uv, share = np.empty(2 * _BLOCK, kind), np.empty(4 * _BLOCK, kind)
         state, grad = np.empty((rows, _BLOCK), kind), np.empty((rows, _BLOCK), kind)
-        share = np.empty((4, _BLOCK), kind)
         into_cells, into_transitions = grad_cells[part], grad_transitions[part]
         for b in range(part * blocks // _PARTS, (part + 1) * blocks // _PARTS):
             start = b * _BLOCK
@@ -134,7 +130,7 @@ def _backward(
             for k in range(n_layers):
                 _transit(transitions[k], state, history[k], m, wide)
                 at = found[k, start : start + m]
-                _apply(cells[k], at, history[k], linear[k], state, m, wide)
+                _apply(cells[k], at, history[k], linear[k], uv, state, m, wide)
 
             for i in range(m):
                 for c in range(3):
@@ -148,7 +144,7 @@ def _backward(
                 at = found[k, start : start + m]
                 if with_transitions:
                     # The state after layer k is not kept: one cheap application restores it.
-                    _apply(cells[k], at, history[k], linear[k], state, m, wide)
+                    _apply(cells[k], at, history[k], linear[k], uv, state, m, wide)
                     _collect_transition(state, grad, into_transitions[k + 1], m, wide)
                 _transit_back(transitions[k + 1], grad, m, wide)
                 _collect_cells(history[k], grad, at, share, into_cells[k], m, wide)
@@ -209,31 +205,36 @@ def _transit_back(t, grad, m, wide):
 
 
 @inlined
-def _apply(table, at, state, linear, out, m, wide):
+def _apply(table, at, state, linear, uv, out, m, wide):
     """out = the state after the layer; at holds each point's cell, whose 2x2 part is kept."""
-    apply_cells(table, at, state[0], state[1], out[0], out[1], linear, m, True)
+    apply_cells(table, at, state[0], state[1], uv, linear, m, True)
     for i in range(m):
-        out[2, i] = state[2, i]
+        out[0, i], out[1, i], out[2, i] = uv[2 * i], uv[2 * i + 1], state[2, i]
     if wide:
-        for c in range(3, 6):
-            for i in range(m):
+        for i in range(m):
+            a00, a01 = linear[4 * i], linear[4 * i + 1]
+            a10, a11 = linear[4 * i + 2], linear[4 * i + 3]
+            for c in range(3, 6):
                 p, q = state[c, i], state[c + 3, i]
-                out[c, i] = linear[0, i] * p + linear[1, i] * q
-                out[c + 3, i] = linear[2, i] * p + linear[3, i] * q
+                out[c, i] = a00 * p + a01 * q
+                out[c + 3, i] = a10 * p + a11 * q
                 out[c + 6, i] = state[c + 6, i]
 
 
 @inlined
 def _apply_back(linear, grad, m, wide):
     """Pull the gradient back through each point's plane map, in place."""
-    for c in range(0, 6 if wide else 1):
-        if c == 1 or c == 2:
-            continue
-        step = 1 if c == 0 else 3
-        for i in range(m):
-            p, q = grad[c, i], grad[c + step, i]
-            grad[c, i] = linear[0, i] * p + linear[2, i] * q
-            grad[c + step, i] = linear[1, i] * p + linear[3, i] * q
+    for i in range(m):
+        a00, a01 = linear[4 * i], linear[4 * i + 1]
+        a10, a11 = linear[4 * i + 2], linear[4 * i + 3]
+        p, q = grad[0, i], grad[1, i]
+        grad[0, i] = a00 * p + a10 * q
+        grad[1, i] = a01 * p + a11 * q
+        if wide:
+            for c in range(3, 6):
+                p, q = grad[c, i], grad[c + 3, i]
+                grad[c, i] = a00 * p + a10 * q
+                grad[c + 3, i] = a01 * p + a11 * q
 
 
 @inlined
@@ -241,26 +242,18 @@ def _collect_cells(state, grad, at, share, into, m, wide):
     """Add each point's d L / d (a00, a01, a10, a11, d0, d1) to its cell."""
     for i in range(m):
         x, y, p, q = state[0, i], state[1, i], grad[0, i], grad[1, i]
-        share[0, i] = p * x
-        share[1, i] = p * y
-        share[2, i] = q * x
-        share[3, i] = q * y
-    if wide:
-        for c in range(3, 6):
-            for i in range(m):
+        g00, g01, g10, g11 = p * x, p * y, q * x, q * y
+        if wide:
+            for c in range(3, 6):
                 x, y, p, q = state[c, i], state[c + 3, i], grad[c, i], grad[c + 3, i]
-                share[0, i] += p * x
-                share[1, i] += p * y
-                share[2, i] += q * x
-                share[3, i] += q * y
+                g00 += p * x
+                g01 += p * y
+                g10 += q * x
+                g11 += q * y
+        share[4 * i], share[4 * i + 1] = g00, g01
+        share[4 * i + 2], share[4 * i + 3] = g10, g11
     for i in range(m):
-        a = at[i] * np.int32(6)
-        into[a] += share[0, i]
-        into[a + 1] += share[1, i]
-        into[a + 2] += share[2, i]
-        into[a + 3] += share[3, i]
-        into[a + 4] += grad[0, i]
-        into[a + 5] += grad[1, i]
+        add_to_row(into, np.intp(at[i]) * 6, share, 4 * i, grad[0, i], grad[1, i])
 
 
 @inlined

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -177,6 +178,40 @@ def rest_forms(mesh: SquareMesh) -> np.ndarray:
     forms = np.ascontiguousarray(forms)
     forms.setflags(write=False)
     return forms
+
+
+class CellEdges(NamedTuple):
+    """The L edges and rays between the C cells.
+
+    Attributes:
+        ends: (L, 2) vertices; V, where there is none, is the origin, and the edge the ray from it
+            through the other end, beyond that end.
+        sides: (L, 2) the cells to the right and to the left of the line from first to second end.
+        of_cell: (C,) one of each cell's edges.
+    """
+
+    ends: np.ndarray
+    sides: np.ndarray
+    of_cell: np.ndarray
+
+
+@lru_cache(maxsize=64)
+def cell_edges(mesh: SquareMesh) -> CellEdges:
+    """Each edge between two cells once; cached, read-only."""
+    cell, corner = np.repeat(np.arange(mesh.n_cells), 3), np.tile(np.arange(3), mesh.n_cells)
+    across = mesh.neighbours.ravel()
+    # Corners run counter-clockwise, so a cell lies on the left of its own sides; a cone lies on
+    # the other side of its boundary edge, which its triangle gives.
+    once = cell < across
+    cell, corner, across = cell[once], corner[once], across[once]
+    ends = np.stack([mesh.cells[cell, (corner + 1) % 3], mesh.cells[cell, (corner + 2) % 3]], -1)
+    of_cell = np.empty(mesh.n_cells, np.int64)
+    for side in (across, cell):
+        of_cell[side] = np.arange(len(cell))
+    parts = (ends, np.stack([across, cell], -1), of_cell)
+    for part in parts:
+        part.setflags(write=False)
+    return CellEdges(*parts)
 
 
 def _pairs(ticks: np.ndarray) -> np.ndarray:

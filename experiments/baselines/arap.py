@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from experiments.baselines.method import Fitted
-from experiments.baselines.training import problem_for
+from experiments.baselines.training import errors_of, problem_for
 
 SHARE = 0.02
 ITERATIONS = 300
@@ -34,18 +34,5 @@ def fit_arap(source, target, faces, *, height, seconds, seed=0) -> Fitted:
     )
     vertices = np.asarray(moved.vertices).copy()
     seconds_taken = time.process_time() - start
-    errors = problem_for(source, target, faces, height)
-    found = errors_of(errors, vertices)
+    found = errors_of(problem_for(source, target, faces, height), vertices)
     return Fitted(vertices, None, 3 * count, ITERATIONS, [(seconds_taken, *found)])
-
-
-def errors_of(problem, vertices: np.ndarray) -> tuple[float, float]:
-    """(vertex, gradient) errors times 1000 of deformed vertices (V, 3) in the user's space."""
-    import torch
-
-    from implicit_warp.alignment import apply_affine
-    from implicit_warp.layers import invert_affine
-
-    image = apply_affine(invert_affine(problem.after), torch.from_numpy(vertices))
-    errors, _ = problem.errors(image.to(problem.target))
-    return errors["vertex"], errors["gradient"]

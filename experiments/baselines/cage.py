@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from torch import nn
 
 import fields
-from experiments.baselines.arap import errors_of
 from experiments.baselines.method import Fitted
-from experiments.baselines.training import GRADIENT_WEIGHT, problem_for
+from experiments.baselines.training import GRADIENT_WEIGHT, errors_of, problem_for
 from implicit_warp.alignment import apply_affine
 from implicit_warp.extraction import extract
 from implicit_warp.fitting.problem import PAPER_HEIGHT
+from implicit_warp.layers import compose_affine
 from implicit_warp.mesh_gradient import MeshGradient
 
 GROWTH, RESOLUTION = 0.05, 28
@@ -90,10 +90,7 @@ def fit_cage(source, target, faces, *, height, seconds, seed=0) -> Fitted:
     # Of the quadratic form of the loss, in the paper's scale.
     weighted = columns / (3 * len(source)) + GRADIENT_WEIGHT * _laplacian(gradient, columns) / 9.0
     # The cage at rest is carried along by the rigid motion, and moves from there.
-    motion = torch.cat(
-        [problem.after[:, :3] @ problem.before[:, :3], torch.zeros(3, 1)], 1
-    ).double()
-    motion[:, 3] = problem.after[:, :3] @ problem.before[:, 3] + problem.after[:, 3]
+    motion = compose_affine(problem.after, problem.before).double()
     at_rest = apply_affine(motion, torch.from_numpy(np.asarray(cage.vertices)))
     missing = torch.from_numpy(target) - columns @ at_rest
     matrix = columns.T @ weighted + _STIFFNESS * torch.eye(weights.shape[1]) / weights.shape[1]

@@ -15,6 +15,14 @@ Trace = list[tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
+class Body:
+    """A mesh: (V, 3) vertices and (F, 3) faces."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
 class Fitted:
     """A deformed body.
 

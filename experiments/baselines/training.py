@@ -16,12 +16,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from experiments.baselines.method import Fitted, Trace
+from experiments.baselines.method import Body, Fitted, Trace
 from experiments.baselines.module_map import ModuleMap
 from fields.z_order import sorted_in_space
 from implicit_warp.affine import Affine
+from implicit_warp.alignment import apply_affine
 from implicit_warp.fitting.options import FitOptions
 from implicit_warp.fitting.problem import PAPER_HEIGHT, FitProblem, correspondence
+from implicit_warp.layers import invert_affine
 from implicit_warp.mesh_gradient import MeshGradient
 
 STRIP = 64
@@ -33,15 +35,17 @@ REVIEWS = 12
 GRADIENT_WEIGHT = 0.1
 
 
-class _Mesh:
-    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None:
-        self.vertices, self.faces = vertices, faces
-
-
 def problem_for(source, target, faces, height: float) -> FitProblem:
     """Source, target and loss as `fit` has them, the rigid motion between them taken out."""
-    given = correspondence(_Mesh(source, faces), _Mesh(target, faces), None, None)
+    given = correspondence(Body(source, faces), Body(target, faces), None, None)
     return FitProblem(given, FitOptions(height=height, gradient_weight=GRADIENT_WEIGHT))
+
+
+def errors_of(problem: FitProblem, vertices: NDArray[np.float64]) -> tuple[float, float]:
+    """(vertex, gradient) errors times 1000 of deformed vertices (V, 3) in the user's space."""
+    image = apply_affine(invert_affine(problem.after), torch.from_numpy(vertices))
+    errors, _ = problem.errors(image.to(problem.target))
+    return errors["vertex"], errors["gradient"]
 
 
 class _Part:

@@ -3,19 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 import implicit_warp as iw
-from experiments.baselines.method import Fitted
-
-
-@dataclass(frozen=True)
-class _Mesh:
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+from experiments.baselines.method import Body, Fitted
 
 
 def fit_tuttenet(source, target, faces, *, height, seconds, seed=0, **options) -> Fitted:
@@ -26,7 +16,7 @@ def fit_tuttenet(source, target, faces, *, height, seconds, seed=0, **options) -
     trace, start = [], time.process_time()
     clock: list[float] = []
     warp = iw.fit(
-        _Mesh(source, faces), _Mesh(target, faces), height=height, seed=seed,
+        Body(source, faces), Body(target, faces), height=height, seed=seed,
         callback=lambda step, warp: clock.append(time.process_time() - start),
         **{"seconds": seconds, **options},
     )  # fmt: skip

@@ -78,7 +78,7 @@ def sharpened(
     sharp, tip = sharp_cells(surface, normals)
     finder = EdgeFinder(surface, corners, vertices, normals, np.flatnonzero(sharp), sampler)
     hubs = HubFinder(finder, sampler)
-    refused = changed = wrong = np.empty((0, 3), np.int64)
+    refused = wrong = np.empty((0, 3), np.int64)
     before = np.empty(0, np.int64)
     for attempt in range(_ATTEMPTS):
         last = attempt == _ATTEMPTS - 1
@@ -93,14 +93,13 @@ def sharpened(
             edges.rings.joined(tips.rings.where(tipped)),
             np.append(of_edge, of_tip[tipped]),
         )
-        changed = hubs.corners[np.setxor1d(hub, before)]
-        before = hub
         points = np.concatenate([finder.points, hubs.points[hub]])
         fans = _Fans(surface, rings, len(finder.points))
         if attempt:
-            suspect = np.concatenate([changed, wrong])
+            suspect = np.concatenate([hubs.corners[np.setxor1d(hub, before)], wrong])
         else:
             suspect = edges.corners[rings.cells[_several(rings.cells) | hubs.left[hub]]]
+        before = hub
         found = [
             _intersecting_cells(
                 sampler.lattice.origin + sampler.lattice.voxel * points,  # as they will be

@@ -19,7 +19,7 @@ from implicit_warp.affine import Affine
 from implicit_warp.errors import InputError
 from implicit_warp.layers import compose_affine
 from implicit_warp.maps import Composition, Map
-from implicit_warp.numba_backend import Tables, compiled_tables, nowhere, run
+from implicit_warp.numba_backend import Tables, compiled_tables, run
 from implicit_warp.push_forward.cutting import cut_layer
 from implicit_warp.push_forward.polygon_mesh import PolygonMesh
 from implicit_warp.square_mesh import SquareMesh, square_mesh
@@ -119,5 +119,5 @@ def as_flat(transitions: Tensor) -> NDArray[np.float64]:
 
 def _move(mesh: PolygonMesh, layer: CutLayer) -> None:
     points = torch.from_numpy(mesh.points[: mesh.n_vertices])
-    moved, _ = run(points, layer.tables, nowhere(torch.float64), layer.mesh, jacobian=False)
+    moved, _ = run(points, layer.tables, None, layer.mesh, jacobian=False)
     mesh.points[: mesh.n_vertices] = moved.numpy()

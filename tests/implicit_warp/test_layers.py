@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from implicit_warp import numba_backend, torch_backend
+from implicit_warp import numba_backend, numba_location, torch_backend
+from implicit_warp.embedding import embed
 from implicit_warp.energy import elastic_energy, layer_energy
 from implicit_warp.errors import InputError, NotInjective
 from implicit_warp.evaluate import back_end
 from implicit_warp.frames import make_frames
-from implicit_warp.layers import determinant_3x3, inverse_3x3
+from implicit_warp.layers import LayerStack, determinant_3x3, inverse_3x3
 from implicit_warp.square_mesh import rest_forms, square_mesh
 from implicit_warp.tuttenet import TutteNet
 from implicit_warp.warp import Warp
@@ -100,6 +101,52 @@ def test_location_in_the_image_equals_exhaustive_search(resolution, spread, seed
     assert ((fast - slow).norm(dim=1) <= tolerance).all()
 
 
+@pytest.mark.parametrize("outline", [None, 0.6, 1.0, 1.7])
+@torch.no_grad()
+def test_a_sure_look_up_is_the_cell_that_holds_the_point(outline, seed):
+    """In every sample of every grid, and outside; also for boundaries on circles of any radius."""
+    net = random_net(seed, layers=3, resolution=5, spread=3.0)
+    stack = net.stack()
+    if outline is not None:
+        border = stack.embeddings[:, net.mesh.boundary.tolist()]
+        circle = outline * border / border.norm(dim=-1, keepdim=True)
+        weights = net.theta_weights.detach().sigmoid() + 0.1
+        layers = embed(weights, circle, net.mesh)
+        stack = LayerStack(net.mesh, layers, stack.transitions)
+    location = numba_backend.compiled_location(stack, torch.float64)
+    tables = stack.inverse_tables.flip(0)
+    forms = torch.tensor(rest_forms(net.mesh))
+    sure = 0
+    for k in range(stack.n_layers):
+        xy = location_grid(location.extent, seed)
+        at, which = np.empty(len(xy), np.int32), np.empty(len(xy), np.int32)
+        unsure = numba_location.look_up(
+            location.guesses[k], location.lines[k], location.sides, location.extent,
+            *np.ascontiguousarray(xy.T), at, which, len(xy),
+        )  # fmt: skip
+        certain = np.setdiff1d(np.arange(len(xy)), which[:unsure])
+        table = tables[k, at[certain]]
+        linear, points = table[:, :4].unflatten(-1, (2, 2)), torch.tensor(xy[certain])
+        rest = (linear @ points[..., None])[..., 0] + table[:, 4:]
+        homogeneous = torch.cat([rest, torch.ones(len(rest), 1, dtype=torch.float64)], 1)
+        coordinates = torch.einsum("nka,na->nk", forms[at[certain]], homogeneous)
+        size = 1.0 + homogeneous.norm(dim=1) * forms.norm(dim=(1, 2)).max()
+        stretch = torch.linalg.matrix_norm(linear, 2).max()
+        assert (coordinates.amin(1) >= -1e-14 * size * stretch).all()
+        sure += len(certain)
+    assert sure > 0.5 * 3 * len(xy)
+
+
+def location_grid(extent: float, seed: int) -> np.ndarray:
+    """(n, 2) points: two in every sample of a layer's grid, its corners, and some outside."""
+    rng = np.random.default_rng(seed)
+    side = numba_location.GUESS_GRID
+    corner = np.stack(np.meshgrid(*[np.arange(side)] * 2, indexing="ij"), -1).reshape(-1, 2)
+    inside = [corner + rng.uniform(0.0, 1.0, corner.shape) for _ in range(2)]
+    on_square = np.concatenate([*inside, corner]) * (2.0 * extent / side) - extent
+    return np.concatenate([on_square, rng.uniform(-3.0, 3.0, (2000, 2))])
+
+
 @torch.no_grad()
 def test_walk_ends_in_the_right_cell_from_any_start(seed):
     net = random_net(seed, layers=1, resolution=6, spread=10.0, frames="triplane")
@@ -110,7 +157,7 @@ def test_walk_ends_in_the_right_cell_from_any_start(seed):
     forms = rest_forms(mesh)
     flat, neighbours = table.flatten().numpy(), mesh.neighbours.astype(np.int32)
     for (x, y), start in itertools.product(image.numpy()[::7], range(0, mesh.n_cells, 11)):
-        cell = numba_backend._walk(flat, forms.reshape(-1, 9), neighbours, x, y, start)
+        cell = numba_location.walk(flat, forms.reshape(-1, 9), neighbours, x, y, start)
         linear, offset = table[cell, :4].numpy().reshape(2, 2), table[cell, 4:].numpy()
         at_rest = linear @ (x, y) + offset
         smallest = (forms[cell] @ (*at_rest, 1.0)).min()
