@@ -77,8 +77,15 @@ class Autosave:
             InputError: there is none; it was begun under another map; the file is damaged.
         """
         if self.left_over is None:
-            raise InputError("edit", None, "no unfinished edit is left", "another tab took it up")
-        content = tomllib.loads(self.left_over.read_text(encoding="utf-8"))
+            raise InputError(
+                "edit", None, "no unfinished edit is left", "look in the other tabs: one has it"
+            )
+        try:
+            content = tomllib.loads(self.left_over.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:  # no TOML, no UTF-8
+            raise InputError(
+                "edit", str(self.left_over), f"it cannot be read ({error})", "discard it"
+            ) from error
         editor = content.get("editor", {})
         warp = editor.get("warp", "")
         if warp != self._warp:

@@ -95,8 +95,7 @@ class ExportPanel:
             report = export_mesh(
                 editor.source.field, warp, path, int(self.resolution.value), self._progress
             )
-            clean = report.ok
-        self._done(event.client, path, f"{path.name}\n{report}", clean)
+        self._done(event.client, path, str(report).replace(str(path), path.name, 1), report.ok)
 
     def _save(self, what: str, client: Any) -> None:
         editor, path = self._editor, self._path(SUFFIX[what])

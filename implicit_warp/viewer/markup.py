@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 
@@ -87,7 +88,20 @@ def report(text: str, good: bool | None = None, command: str = "") -> str:
     return (
         f'<div style="margin:0 12px 8px;padding:4px 9px;border-left:3px solid {side};'
         f"background:#f8f9fa;font-size:12px;line-height:1.45;white-space:pre-wrap;"
-        f'overflow-wrap:anywhere">{escape(text)}{again}</div>'
+        f'overflow-wrap:anywhere">{_table(text)}{again}</div>'
+    )
+
+
+_ROW = re.compile(r"^  (\S.*?)\s{2,}(.*)\n?", re.MULTILINE)
+"""A line of a text that is set as a table, as reports of checks are."""
+
+
+def _table(text: str) -> str:
+    """A text whose lines of a name and a value keep their columns in any font."""
+    return _ROW.sub(
+        rf'<span style="display:flex;gap:8px"><span style="flex:0 0 98px;color:{_FAINT}">\1</span>'
+        r"<span>\2</span></span>",
+        escape(text),
     )
 
 

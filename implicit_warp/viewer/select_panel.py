@@ -65,8 +65,7 @@ class SelectPanel:
             self._advice = gui.add_html("")
         scene, safe = editor.server.scene, editor.guarded
         scene.on_click()(safe(self._clicked))
-        self._draw = safe(self._rectangle)
-        scene.on_rect_select(modifier="shift")(self._draw)
+        scene.on_rect_select(modifier="shift")(safe(self._rectangle))
         self._plain = safe(self._rectangle)
         self._drawing = False
         self.tool.on_update(safe(lambda e: self.show_tool()))

@@ -49,7 +49,6 @@ class ViewPanel:
 
     def __init__(self, editor: Editor) -> None:
         self._editor, self._lock = editor, threading.RLock()
-        self._stale = False
         gui = editor.server.gui
         with gui.add_folder("4  See", expand_by_default=False):
             self.colour = gui.add_dropdown("Colours", (PLAIN, *QUANTITY))
@@ -108,14 +107,11 @@ class ViewPanel:
         else:
             self._paint(update.vertices, update.warp, update.handles)
         self._forget_contacts()
-        if update.running:
-            self._stale = True
-        else:
+        if not update.running:
             self.refresh()
 
     def refresh(self) -> None:
         """Draw section and layer anew."""
-        self._stale = False
         self.show_section()
         self.show_layer()
 

@@ -343,6 +343,13 @@ def test_the_selection_comes_back_with_and_without_handles(tmp_path):
     assert edit(tmp_path)[1].read_left_over(points).selection is None
 
 
+def test_a_damaged_edit_is_told_of(tmp_path):
+    (tmp_path / ".part.autosave.toml").write_text("[editor")
+    with pytest.raises(InputError, match="cannot be read") as caught:
+        edit(tmp_path)[1].read_left_over(np.zeros((1, 3)))
+    assert caught.value.remedy == "discard it"
+
+
 def test_a_selection_that_is_cleared_is_not_offered_later(tmp_path):
     session, autosave = edit(tmp_path)
     session.change(lambda s: replace(s, selection=fields.box(0.5)))

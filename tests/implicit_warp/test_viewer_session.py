@@ -262,6 +262,19 @@ def test_a_posed_handle_moves_its_points_as_the_gizmo_does(rng):
         np.testing.assert_allclose(motion(POINTS), expected, atol=1e-7)
 
 
+def test_another_pivot_leaves_the_motion_as_it_is(rng):
+    for turn in Rotation.random(10, rng=rng):
+        first = handle("a", pivot=tuple(rng.normal(size=3)))
+        moved = first.posed(rng.normal(size=3), turn.as_quat(scalar_first=True))
+        pivot = rng.normal(size=3)
+        about = moved.about(pivot)
+        np.testing.assert_allclose(about.pivot, pivot, atol=1e-8)
+        np.testing.assert_allclose(about.pose()[0], moved.handle().motion(pivot), atol=1e-7)
+        np.testing.assert_allclose(
+            about.handle().motion(POINTS), moved.handle().motion(POINTS), atol=1e-7
+        )
+
+
 def test_amounts_lead_from_rest_to_the_whole_motion_and_add_up():
     turned = handle("a", rotvec=(30.0, -100.0, 60.0), shift=(0.3, 0.0, -2.0))
     np.testing.assert_allclose(turned.handle(0.0).motion(POINTS), POINTS, atol=1e-12)

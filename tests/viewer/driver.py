@@ -171,12 +171,6 @@ class Tab:
             close.first.click()
             self.settle(0.5)
 
-    def fill(self, label: str, value: str) -> None:
-        """Type into a field."""
-        control = self.page.get_by_label(label, exact=True).first
-        control.fill(value)
-        control.press("Enter")
-
     def steady(self, path: Path) -> None:
         """A screenshot of what the page has come to: two that are far apart are the same."""
         last, now = b"", self.picture()
