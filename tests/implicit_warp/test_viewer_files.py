@@ -34,8 +34,8 @@ from implicit_warp.viewer.session import (
     solve_handles,
 )
 from implicit_warp.viewer.source import PREVIEW_VERTICES, ShapeSource, preview_mesh
+from tests.viewer.bar import BAR
 
-BAR = "import fields as sdf\nshape = sdf.box((0.4, 0.4, 2.0))\n"
 HANDLES = (
     EditHandle("foot", fields.below(-0.7), (0.0, 0.0, -0.85), held=True),
     EditHandle("head", fields.above(0.7), (0.0, 0.0, 0.85), False, (0, 40, 0), (0.3, 0, 0)),

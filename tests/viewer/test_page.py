@@ -15,27 +15,11 @@ from implicit_warp.cli import main
 from implicit_warp.files import load, save
 from implicit_warp.viewer import regions
 from implicit_warp.viewer.page import Editor
+from tests.viewer.bar import BAR, BAR_HANDLES
 from tests.viewer.conftest import EXAMPLES
 from tests.viewer.driver import PATIENCE, Tab, seen_vertex, until
 
 LEFT, RIGHT = (-1.5, -0.55), (1.5, -0.5)
-
-BAR_HANDLES = """
-[[handle]]
-region = "below(-0.7)"
-hold = true
-
-[[handle]]
-region = "above(0.7)"
-translate = [0.3, 0, 0]
-
-[solve]
-layers = 6
-resolution = 5
-steps = 50
-samples = 256
-handle_samples = 64
-"""
 
 
 def make_handles(tab: Tab, held: tuple[float, float], moved: tuple[float, float]) -> None:
@@ -99,14 +83,18 @@ def test_from_the_command_to_an_exported_bent_part_in_six_actions(browser, edito
     points = np.asarray(editor.source.preview.vertices)
     np.testing.assert_allclose(replayed(points), editor.final.warp(points), atol=1e-9)
     assert again.read_bytes() == path.read_bytes()
-    assert np.isfinite(list(editor.drags)).all()
+    latency = 1e3 * np.median(editor.drags)  # shown by pytest -s
+    print(  # noqa: T201 - a figure for whoever asks
+        f"median of {len(editor.drags)} from a drag's event to its mesh: {latency:.0f} ms"
+    )
+    assert np.isfinite(latency)
 
 
 @pytest.fixture
 def twisted_bar(tmp_path, monkeypatch):
     """In the working folder: a bar, its handles, and a map to edit it under."""
     monkeypatch.chdir(tmp_path)
-    Path("a bar.py").write_text("import fields as sdf\nshape = sdf.box((0.4, 0.4, 2.0))\n")
+    Path("a bar.py").write_text(BAR)
     Path("bar.toml").write_text(BAR_HANDLES)
     save(Twist(40.0), "twist.safetensors")
 
