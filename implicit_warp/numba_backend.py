@@ -10,8 +10,8 @@ over points, and pairs (u, v) where each has its own cell, which vectorises with
 (`numba_rows`).
 
 For developers: Numba's cache of a compiled function does not notice changes in functions of other
-modules.  After editing the pieces here that `numba_gradients` uses, or `jit`, delete this
-folder's `__pycache__`.
+modules.  After editing `numba_location`, `numba_rows` or `jit`, delete this folder's
+`__pycache__`.
 """
 
 from __future__ import annotations

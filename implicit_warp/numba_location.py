@@ -128,8 +128,11 @@ def locate(x, y, at, m, resolution):
 
 
 @kernel
-def _smallest_coordinate(forms, c, u, v):
-    """The smallest coordinate of rest point (u, v) in cell c, and which one it is."""
+def _smallest_coordinate(table, forms, c, x, y):
+    """The smallest coordinate in cell c of the point whose image is (x, y), and its number."""
+    a = 6 * c
+    u = table[a] * x + table[a + 1] * y + table[a + 4]
+    v = table[a + 2] * x + table[a + 3] * y + table[a + 5]
     smallest = forms[c, 0] * u + forms[c, 1] * v + forms[c, 2]
     which = 0
     for j in range(1, 3):
@@ -146,10 +149,7 @@ def walk(table, forms, neighbours, x, y, cell):
     best, best_value = cell, -np.inf
     previous = -1
     for _ in range(64 + len(neighbours) // 8):
-        a = 6 * cell
-        u = table[a] * x + table[a + 1] * y + table[a + 4]
-        v = table[a + 2] * x + table[a + 3] * y + table[a + 5]
-        value, which = _smallest_coordinate(forms, cell, u, v)
+        value, which = _smallest_coordinate(table, forms, cell, x, y)
         if value > best_value:
             best, best_value = cell, value
         if value >= 0.0:
@@ -160,10 +160,7 @@ def walk(table, forms, neighbours, x, y, cell):
             return best
         previous, cell = cell, onwards
     for cell in range(len(neighbours)):
-        a = 6 * cell
-        u = table[a] * x + table[a + 1] * y + table[a + 4]
-        v = table[a + 2] * x + table[a + 3] * y + table[a + 5]
-        value, _ = _smallest_coordinate(forms, cell, u, v)
+        value, _ = _smallest_coordinate(table, forms, cell, x, y)
         if value > best_value:
             best, best_value = cell, value
     return best

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from implicit_warp.viewer.controls import assign
+from implicit_warp.viewer.regions import selected
 from implicit_warp.viewer.session import EditState, solve_handles
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ class DragPanel:
 
     def show(self, state: EditState) -> None:
         """The active handle's gizmo and numbers."""
-        handle = next((h for h in state.handles if h.name == state.active), None)
+        handle = state.chosen
         if handle is not None:
             assign(self.shift, "value", handle.shift)
             assign(self.turn, "value", handle.rotvec)
@@ -140,8 +141,7 @@ class DragPanel:
         choice, editor = event.target.value, self._editor
         if choice == "Middle of handle":
             region = editor.session.state.get(editor.session.state.active).region
-            inside = np.asarray(region(editor.rest)) <= 0
-            place = editor.rest[inside].mean(axis=0)
+            place = editor.rest[selected(region, editor.rest)].mean(axis=0)
         elif choice == "Middle of shape":
             place = np.asarray(editor.source.field.bounds).mean(axis=0)
         elif choice == "Origin":

@@ -8,9 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import trimesh
-
 from implicit_warp.errors import InputError
 from implicit_warp.files import save
 from implicit_warp.viewer import markup
@@ -143,7 +140,7 @@ class ExportPanel:
         path = self._path(f".{self.film_format.value.lower()}", f"-{what.lower()}")
         with self._working(path):
             if what == "Turntable":
-                film = turntable(self._shown())
+                film = turntable(self._editor.shown.mesh)
             else:
                 if editor.solved() is None:
                     raise InputError("film", what, "nothing is moved yet", "move a handle first")
@@ -151,14 +148,9 @@ class ExportPanel:
             write_film(film, path, self._progress)
         self._done(client, path, f"Wrote {path.name}.")
 
-    def _shown(self) -> trimesh.Trimesh:
-        editor = self._editor
-        faces = np.asarray(editor.source.preview.faces)
-        return trimesh.Trimesh(editor.shown.vertices, faces, process=False)
-
     def _picture(self, path: Path) -> None:
         """Rest and deformed side by side, by the project's own renderer."""
         from implicit_warp.render import Panel, render_row, save_png
 
         rest = Panel(self._editor.source.preview, None, "rest")
-        save_png(path, render_row([rest, Panel(self._shown(), None, "deformed")]))
+        save_png(path, render_row([rest, Panel(self._editor.shown.mesh, None, "deformed")]))

@@ -72,7 +72,7 @@ class HandlePanel:
             )
             assign(text, "content", row)
             assign(buttons, "options", ("Edit", "Hide" if handle.visible else "Show", "Delete"))
-        handle = next((h for h in state.handles if h.name == state.active), None)
+        handle = state.chosen
         assign(self.about, "visible", handle is not None)
         if handle is not None:
             assign(self.name, "value", handle.name)

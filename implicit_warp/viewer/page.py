@@ -29,6 +29,7 @@ from implicit_warp.viewer.export_panel import ExportPanel
 from implicit_warp.viewer.guard import guarded, tell
 from implicit_warp.viewer.handle_panel import HandlePanel
 from implicit_warp.viewer.live_solver import LiveSolver, Update
+from implicit_warp.viewer.regions import selected
 from implicit_warp.viewer.select_panel import SelectPanel
 from implicit_warp.viewer.session import (
     EditHandle,
@@ -245,7 +246,7 @@ class Editor:
             raise InputError("amount", 0, "nothing is solved yet", "move a handle first")
         if self._morph is None or self._morph[0] is not final:
             held = [h.region for h in final.handles if h.is_held]
-            inside = [np.asarray(region(self.rest)) <= 0 for region in held]
+            inside = [selected(region, self.rest) for region in held]
             points = self.rest[np.any(inside, axis=0)] if inside else None
             self._morph = (final, Morph(final.warp, held=points))
         return self._morph[1]

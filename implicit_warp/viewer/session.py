@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from fields import Field
 from implicit_warp.errors import InputError
 from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
+from implicit_warp.viewer.regions import selected
 
 MOST_UNDO = 200
 """States that are kept."""
@@ -98,6 +99,11 @@ class EditState:
     handles: tuple[EditHandle, ...] = ()
     selection: Field | None = None
     active: str = ""
+
+    @property
+    def chosen(self) -> EditHandle | None:
+        """The handle that has the gizmo, if one has."""
+        return next((h for h in self.handles if h.name == self.active), None)
 
     def get(self, name: str) -> EditHandle:
         """The handle of a name.
@@ -277,7 +283,7 @@ def load_edit(path: str | Path, vertices: np.ndarray) -> tuple[EditState, dict]:
         raise InputError("handles", twice, "two handles have this name", "name them apart")
     edits = []
     for handle in handles:
-        picked = vertices[np.asarray(handle.region(vertices)) <= 0]
+        picked = vertices[selected(handle.region, vertices)]
         middle = picked.mean(axis=0) if len(picked) else np.zeros(3)
         matrix = handle.motion.matrix.numpy()
         rotvec = Rotation.from_matrix(matrix[:, :3]).as_rotvec(degrees=True)

@@ -51,7 +51,7 @@ class Shown:
     def __init__(self, server: viser.ViserServer, rest: trimesh.Trimesh) -> None:
         self._server, self._lock = server, threading.RLock()
         self._parts: list[tuple[Any, Part]] = []
-        self._coloured: list[Any] = []
+        self._coloured: Any = None
         self._key: tuple[Any, ...] | None = None  # what the parts are cut by, unless outdated
         self._turn = 0
         self.set_rest(rest)
@@ -61,6 +61,11 @@ class Shown:
         """Another shape; shown with the next colouring."""
         self.rest, self._key = rest, None
         self.vertices = np.asarray(rest.vertices, np.float32)
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """What is shown."""
+        return trimesh.Trimesh(self.vertices, self.rest.faces, process=False)
 
     @_alone
     def show_handles(self, state: EditState) -> None:
@@ -79,7 +84,8 @@ class Shown:
             for a, b in zip(key, self._key, strict=True)
         ):  # fmt: skip
             return
-        old, self._key, self._parts = self._nodes(), key, []
+        old = self._nodes()
+        self._key, self._parts, self._coloured = key, [], None
         self._turn += 1
         parts = cut_by_regions(self.rest, regions)
         with self._server.atomic():
@@ -94,20 +100,15 @@ class Shown:
 
     @_alone
     def show_colours(self, vertices: NDArray[np.float32], colours: NDArray[np.uint8]) -> None:
-        """The mesh with vertices (n, 3) in colours (n, 4).
-
-        A mesh in colours reaches the page as a file of its own, which takes it a moment to read:
-        the one before it stays until the next but one, so that nothing flickers.
-        """
+        """The mesh with vertices (n, 3) in colours (n, 4), put there before the old one goes."""
+        old = self._nodes()
         self.vertices = vertices
         self._turn += 1
-        mesh = trimesh.Trimesh(
-            vertices, self.rest.faces, vertex_colors=colours, process=False
-        )  # fmt: skip
-        parts, self._parts, self._key = [node for node, _ in self._parts], [], None
-        self._coloured.append(self._server.scene.add_mesh_trimesh(f"/shape/{self._turn}", mesh))
-        self._remove([*parts, *self._coloured[:-1]])
-        self._coloured = self._coloured[-1:]
+        mesh = self.mesh
+        mesh.visual.vertex_colors = colours
+        self._key, self._parts = None, []
+        self._coloured = self._server.scene.add_mesh_trimesh(f"/shape/{self._turn}", mesh)
+        self._remove(old)
 
     @_alone
     def move(self, vertices: NDArray[np.float32]) -> None:
@@ -121,9 +122,8 @@ class Shown:
         return (part.weights @ self.vertices).astype(np.float32)
 
     def _nodes(self) -> list[Any]:
-        found = [*(node for node, _ in self._parts), *self._coloured]
-        self._coloured = []
-        return found
+        coloured = [] if self._coloured is None else [self._coloured]
+        return [*(node for node, _ in self._parts), *coloured]
 
     def _remove(self, nodes: list[Any]) -> None:
         for node in nodes:

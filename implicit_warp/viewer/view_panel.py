@@ -7,7 +7,6 @@ import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 
 from implicit_warp.affine import Affine
 from implicit_warp.color_scales import ColorScale, color_scale
@@ -188,10 +187,7 @@ class ViewPanel:
         from implicit_warp.highlights import self_intersection_highlights
 
         editor = self._editor
-        mesh = trimesh.Trimesh(
-            editor.shown.vertices.astype(np.float64), editor.source.preview.faces, process=False
-        )
-        found = self_intersection_highlights(check(mesh))
+        found = self_intersection_highlights(check(editor.shown.mesh))
         self._forget_contacts()
         if found:
             for name, lines, width in (("faces", found.edges, 1.5), ("lines", found.contacts, 4.0)):
