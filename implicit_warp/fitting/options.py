@@ -27,7 +27,8 @@ class FitOptions(Options):
             add up to a turn of the square.
         relapse: a loss so many times the best one takes the best state up again, at a lower
             learning rate; None waits until it is no number.  One step too far in many layers at
-            once can throw a fit back to where it takes hundreds of steps to return from.
+            once can throw a fit back to where it takes hundreds of steps to return from, and a rate
+            that is too high for a pair shows itself by relapses.
         gradient_weight: weight of the mesh gradients' error against the vertices'.
         landmark_weight: weight of the landmarks' error against the vertices'.
         height: length in the user's units that counts as 1.4 in the loss and the report; the
@@ -51,11 +52,11 @@ class FitOptions(Options):
     boundary: str = "free"
     init: str = "identity"
     steps: int = 1000
-    learning_rate: float = 0.2
+    learning_rate: float = 0.15
     schedule: str = "cosine"
     memory: float = 0.95
     boundary_rate: float = 0.1
-    relapse: float | None = 20.0
+    relapse: float | None = 5.0
     gradient_weight: float = 0.1
     landmark_weight: float = 1.0
     height: float | None = None
@@ -80,7 +81,7 @@ class FitOptions(Options):
         if self.memory >= 1.0:
             self._refuse("memory", "not below 1", "0.95 and 0.999 are usual")
         if self.relapse is not None and self.relapse <= 1.0:
-            self._refuse("relapse", "every step would be one", "pass e.g. 20, or None")
+            self._refuse("relapse", "every step would be one", "pass e.g. 5, or None")
         self._check_choice("schedule", SCHEDULES)
         self._check_choice("align", ALIGNMENTS)
         self._check_choice("precision", PRECISIONS)
