@@ -85,6 +85,20 @@ def add_to_row(typing, table, a, linear, o, x, y):
     return types.void(table, types.intp, linear, types.intp, x, y), codegen
 
 
+@intrinsic
+def subtract_four(typing, out, o, factor, table, a):
+    """out[o:o + 4] -= factor * table[a:a + 4]; both may be parts of one array."""
+    _check(out, table)
+
+    def codegen(context, builder, signature, args):
+        code = _Code(context, builder, signature, args)
+        factors = code.spread(code.pair(args[2], args[2]), 4)
+        product = builder.fmul(factors, code.load(3, 4), flags=_FREE)
+        return code.store(0, builder.fsub(code.load(0, 4), product, flags=_FREE))
+
+    return types.void(out, types.intp, out.dtype, table, types.intp), codegen
+
+
 def _check(*arrays: types.Type) -> None:
     for array in arrays:
         if not isinstance(array, types.Array) or array.ndim != 1 or array.layout != "C":
@@ -125,6 +139,12 @@ class _Code:
         empty = ir.Constant(ir.VectorType(self._number, 2), ir.Undefined)
         begun = self._builder.insert_element(empty, first, _I32(0))
         return self._builder.insert_element(begun, second, _I32(1))
+
+    def spread(self, vector, count: int):
+        """The first number of a vector, so many times."""
+        return self._builder.shuffle_vector(
+            vector, ir.Constant(vector.type, ir.Undefined), _lanes(*[0] * count)
+        )
 
     def _address(self, which: int, vector: ir.VectorType, skip: int):
         builder, start = self._builder, self._args[which + 1]
