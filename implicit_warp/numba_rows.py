@@ -1,4 +1,5 @@
-"""Rows of six numbers, a cell's affine map of the plane each, moved as vectors in Numba kernels.
+"""Short runs of numbers as vectors in Numba kernels: rows of six, a cell's affine map of the plane
+each, and runs of four of a banded matrix.
 
 A row (a00, a01, a10, a11, d0, d1) is one vector of four and one of two.  Written number by number,
 a kernel loads six scalars, multiplies them one by one and stores two results, and LLVM does not
@@ -7,7 +8,7 @@ that is two loads, two multiply-adds of pairs and one store, so images come as p
 2x2 parts as fours.  A map of 24 layers was measured to take 30 % less time.
 
 Nothing here checks an index: where these functions are used, cells come from location, which gives
-none that is not there.
+none that is not there, and rows of a matrix are padded.
 """
 
 from __future__ import annotations

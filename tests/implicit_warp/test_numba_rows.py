@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from implicit_warp.numba_rows import add_to_row, apply_row, copy_linear
+from implicit_warp.numba_rows import add_to_row, apply_row, copy_linear, subtract_four
 
 KINDS = pytest.mark.parametrize("kind", [np.float32, np.float64])
 
@@ -23,6 +23,11 @@ def applied(table, rows, x, y, images, linear):
 def added(table, rows, linear, x, y):
     for i in range(len(rows)):
         add_to_row(table, 6 * rows[i], linear, 4 * i, x[i], y[i])
+
+
+@njit
+def subtracted(numbers, to, factor, start):
+    subtract_four(numbers, to, factor, numbers, start)
 
 
 @KINDS
@@ -53,6 +58,20 @@ def test_many_points_add_to_one_row(kind, rng):
     flat = table.ravel()
     added(flat, rows, linear.ravel(), x, y)
     assert (flat.reshape(5, 6) == expected).all()
+
+
+@KINDS
+@pytest.mark.parametrize(("to", "start"), [(0, 4), (9, 0), (3, 8), (2, 4), (5, 5)])
+def test_a_multiple_of_four_numbers_is_subtracted_also_where_they_overlap(kind, to, start, rng):
+    numbers, factor = rng.normal(size=13).astype(kind), kind(rng.normal())
+    expected = numbers.copy()
+    expected[to : to + 4] -= factor * numbers[start : start + 4]
+    size = np.abs(numbers).max() * (1 + np.abs(factor))
+    subtracted(numbers, to, factor, start)
+    # Rounded once where product and difference are fused, else twice.
+    assert (np.abs(numbers - expected) <= np.finfo(kind).eps * size).all()
+    others = np.delete(np.arange(13), range(to, to + 4))
+    assert (numbers[others] == expected[others]).all()
 
 
 def test_an_array_that_is_not_contiguous_is_refused():
