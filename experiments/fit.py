@@ -5,7 +5,8 @@
     python -m experiments.fit -o out/fit --keep                   also into experiments/results
 
 Records of what is done stay in the folder, and a second run does only what is missing.  Written are
-fit.json, fit.md (the tables), convergence.png and comparison.png.
+fit.json, fit.md (the tables), convergence.png and comparison.png.  With --keep, methods that met
+fewer pairs here than in the repository's results keep the rows that they have there.
 """
 
 from __future__ import annotations
@@ -18,7 +19,14 @@ import tyro
 
 from experiments.study.fitters import NAMES
 from experiments.study.jobs import Job, run_jobs
-from experiments.study.results import compact, machine_of, where_and_when
+from experiments.study.results import (
+    RESULTS,
+    compact,
+    machine_of,
+    read_results,
+    where_and_when,
+    with_rows_of,
+)
 from experiments.study.settings import StudyOfPairs
 from experiments.study.tables import accuracy_table, soundness_table
 
@@ -81,6 +89,8 @@ def run(options: FitExperiment, progress: Callable[[str], None] = print) -> dict
         "machine": machine_of(records),
         "records": [compact(record) for record in in_order],
     }
+    if options.keep:
+        found = with_rows_of(found, read_results(RESULTS / "fit.json"))
     options.write("fit", found, tables_of(found))
     if options.pictures:
         from experiments.study.pictures import comparison, convergence

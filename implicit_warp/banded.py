@@ -100,7 +100,8 @@ def _row(half):
 def _solve(w, u, corners, inner, neighbours, columns, direct, through, half):
     """Fill u's inner vertices and centres; its boundary vertices are given.
 
-    Returned are the normalised weights, what they were divided by, and the factors: the multipliers of L replace the entries they eliminate, and the diagonal holds its reciprocal.
+    Returned are the normalised weights, what they were divided by, and the factors: the multipliers
+    of L replace the entries they eliminate, and the diagonal holds its reciprocal.
     """
     layers, n_centres, n_inner = len(w), len(corners), len(inner)
     width, stride = _row(half)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from experiments.record_benchmarks import replace_table
+from experiments.study.tables import by_name
+from implicit_warp.errors import InputError
 from implicit_warp.files import atomic_write
 
 HERE = Path(__file__).resolve().parents[1]
@@ -43,6 +45,34 @@ def machine_of(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "load": [round(min(loads), 1), round(max(loads), 1)],
         "threads": 1,
     }
+
+
+def with_rows_of(found: Mapping[str, Any], earlier: Mapping[str, Any]) -> dict[str, Any]:
+    """Results with the rows of earlier ones for methods that met more pairs there.
+
+    Raises:
+        InputError: the earlier results are of other pairs or budgets.
+    """
+    settings = found.keys() - {"machine", "records"}
+    differing = sorted(key for key in settings if found[key] != earlier.get(key))
+    if differing:
+        raise InputError(
+            "keep",
+            {key: found[key] for key in differing},
+            f"the results in the repository have {[earlier.get(key) for key in differing]}",
+            "use their options, or remove the old results",
+        )
+    new, old = by_name(found["records"]), by_name(earlier["records"])
+    taken = {name for name in old if len(old[name]) > len(new.get(name, []))}
+    if not taken:
+        return dict(found)
+    machine, other = found["machine"], earlier["machine"]
+    loads = (*machine["load"], *other["load"])
+    lists = {key: sorted({*machine[key], *other[key]}) for key in ("cpu", "torch", "dates")}
+    names = dict.fromkeys((*old, *new))
+    records = [r for name in names for r in (old if name in taken else new)[name]]
+    machine = {**machine, **lists, "load": [min(loads), max(loads)]}
+    return {**found, "machine": machine, "records": records}
 
 
 def write_results(path: Path, found: Mapping[str, Any]) -> None:

@@ -19,7 +19,14 @@ from experiments.study.jobs import Job, run_jobs, stored, time_to_accuracy
 from experiments.study.other_solvers import refined
 from experiments.study.pictures import comparison
 from experiments.study.quality import errors
-from experiments.study.results import DOCUMENT, RESULTS, compact, read_results, write_results
+from experiments.study.results import (
+    DOCUMENT,
+    RESULTS,
+    compact,
+    read_results,
+    with_rows_of,
+    write_results,
+)
 from experiments.study.tables import by_name, number, quartiles
 from experiments.study.variations import STUDIES, base_of
 from implicit_warp import TutteNet
@@ -277,6 +284,35 @@ def test_results_are_small_and_come_back(tmp_path):
     assert kept["trace"][-1][0] == 99.0
     write_results(tmp_path / "r.json", {"a": 1, "records": [kept, kept]})
     assert read_results(tmp_path / "r.json") == {"a": 1, "records": [kept, kept]}
+
+
+def test_methods_that_were_not_run_keep_their_rows():
+    def results(cpu: str, load: list[float], **pairs: int) -> dict:
+        records = [
+            {"name": n, "index": i, "cpu": cpu} for n, count in pairs.items() for i in range(count)
+        ]
+        machine = {
+            "cpu": [cpu],
+            "torch": ["2"],
+            "dates": ["2024-06-12"],
+            "load": load,
+            "threads": 1,
+        }
+        return {"pairs": 3, "seconds": 60.0, "machine": machine, "records": records}
+
+    earlier = results("old", [1.0, 5.0], a=3, b=3)
+    found = results("new", [0.5, 2.0], a=3, b=1, c=1)
+    both = with_rows_of(found, earlier)
+    assert [(r["name"], r["index"], r["cpu"]) for r in both["records"]] == [
+        *(("a", i, "new") for i in range(3)), *(("b", i, "old") for i in range(3)), ("c", 0, "new"),
+    ]  # fmt: skip
+    assert both["machine"] == {**found["machine"], "cpu": ["new", "old"], "load": [0.5, 5.0]}
+    assert with_rows_of(earlier, found) == earlier | {
+        "records": [*earlier["records"], found["records"][-1]]
+    } | {"machine": both["machine"]}
+    assert with_rows_of(found, results("old", [1.0, 5.0], a=3)) == found
+    with pytest.raises(InputError, match=r"keep.*seconds"):
+        with_rows_of({**found, "seconds": 1.0}, earlier)
 
 
 def test_small_statistics():
