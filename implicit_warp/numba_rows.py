@@ -38,9 +38,10 @@ def apply_cells(table, at, x, y, uv, linear, m, keep):
 def apply_cell(table, cell, x, y, uv, linear, i, keep):
     """Pair i of uv = the cell's map of (x[i], y[i]); its 2x2 part goes to four i of linear."""
     a = np.intp(cell) * 6
-    apply_row(table, a, x[i], y[i], uv, 2 * i)
     if keep:
-        copy_linear(table, a, linear, 4 * i)
+        apply_row_and_keep(table, a, x[i], y[i], uv, 2 * i, linear, 4 * i)
+    else:
+        apply_row(table, a, x[i], y[i], uv, 2 * i)
 
 
 @intrinsic
@@ -50,25 +51,36 @@ def apply_row(typing, table, a, x, y, out, o):
 
     def codegen(context, builder, signature, args):
         code = _Code(context, builder, signature, args)
-        four, two = code.load(0, 4), code.load(0, 2, skip=4)
-        by_x = builder.fmul(code.pick(four, 0, 2), code.pair(args[2], args[2]), flags=_FREE)
-        by_y = builder.fmul(code.pick(four, 1, 3), code.pair(args[3], args[3]), flags=_FREE)
-        image = builder.fadd(builder.fadd(by_x, two, flags=_FREE), by_y, flags=_FREE)
+        _, image = _linear_and_image(code, builder, *args[2:4])
         return code.store(4, image)
 
     return types.void(table, types.intp, x, y, out, types.intp), codegen
 
 
 @intrinsic
-def copy_linear(typing, table, a, out, o):
-    """out[o:o + 4] = the linear part in table[a:a + 4]."""
-    _check(table, out)
+def apply_row_and_keep(typing, table, a, x, y, out, o, linear, b):
+    """The same, and linear[b:b + 4] = the linear part in table[a:a + 4].
+
+    One function, because what is stored might be the table, for all that LLVM knows: as two, the
+    row would be loaded twice.
+    """
+    _check(table, out, linear)
 
     def codegen(context, builder, signature, args):
         code = _Code(context, builder, signature, args)
-        return code.store(2, code.load(0, 4))
+        four, image = _linear_and_image(code, builder, *args[2:4])
+        code.store(6, four)
+        return code.store(4, image)
 
-    return types.void(table, types.intp, out, types.intp), codegen
+    return types.void(table, types.intp, x, y, out, types.intp, linear, types.intp), codegen
+
+
+def _linear_and_image(code: _Code, builder, x, y):
+    """The linear part of the row that the first arguments name, and its map of (x, y)."""
+    four, two = code.load(0, 4), code.load(0, 2, skip=4)
+    by_x = builder.fmul(code.pick(four, 0, 2), code.pair(x, x), flags=_FREE)
+    by_y = builder.fmul(code.pick(four, 1, 3), code.pair(y, y), flags=_FREE)
+    return four, builder.fadd(builder.fadd(by_x, two, flags=_FREE), by_y, flags=_FREE)
 
 
 @intrinsic

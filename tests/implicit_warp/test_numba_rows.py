@@ -7,16 +7,21 @@ import pytest
 from numba import njit
 from numba.core.errors import TypingError
 
-from implicit_warp.numba_rows import add_to_row, apply_row, copy_linear, subtract_four
+from implicit_warp.numba_rows import add_to_row, apply_row, apply_row_and_keep, subtract_four
 
 KINDS = pytest.mark.parametrize("kind", [np.float32, np.float64])
 
 
 @njit
-def applied(table, rows, x, y, images, linear):
+def applied(table, rows, x, y, images):
     for i in range(len(rows)):
         apply_row(table, 6 * rows[i], x[i], y[i], images, 2 * i)
-        copy_linear(table, 6 * rows[i], linear, 4 * i)
+
+
+@njit
+def applied_and_kept(table, rows, x, y, images, linear):
+    for i in range(len(rows)):
+        apply_row_and_keep(table, 6 * rows[i], x[i], y[i], images, 2 * i, linear, 4 * i)
 
 
 @njit
@@ -31,11 +36,14 @@ def subtracted(numbers, to, factor, start):
 
 
 @KINDS
-def test_rows_are_applied_and_copied(kind, rng):
+def test_rows_are_applied_and_kept(kind, rng):
     table, rows = rng.normal(size=(9, 6)).astype(kind), rng.integers(0, 9, 200)
     x, y = rng.normal(size=(2, 200)).astype(kind)
     images, linear = np.full(402, np.nan, kind), np.full(801, np.nan, kind)
-    applied(table.ravel(), rows, x, y, images, linear)
+    applied_and_kept(table.ravel(), rows, x, y, images, linear)
+    alone = np.full(402, np.nan, kind)
+    applied(table.ravel(), rows, x, y, alone)
+    np.testing.assert_array_equal(alone, images)
     a = table[rows]
     expected = a[:, [0, 2]] * x[:, None] + a[:, [1, 3]] * y[:, None] + a[:, 4:]
     sizes = np.abs(a).sum(1, keepdims=True) * (1 + np.hypot(x, y))[:, None]
