@@ -38,7 +38,7 @@ from implicit_warp import evaluate
 from implicit_warp.alignment import best_affine_map
 from implicit_warp.energy import elastic_energy, layer_energy
 from implicit_warp.errors import InputError
-from implicit_warp.handles import Handle
+from implicit_warp.handles import Handle, refuse_equal_names
 from implicit_warp.layers import compose_affine, determinant_3x3, invert_affine
 from implicit_warp.maps import Map
 from implicit_warp.options import Options
@@ -193,10 +193,7 @@ def _checked(handles: Any) -> list[Handle]:
         raise InputError(
             "handles", handles, "nothing is held or moved", "pass iw.hold(...) and iw.move(...)"
         )
-    names = [handle.name for handle in handles]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError("handles", twice, "two handles have this name", "name them apart")
+    refuse_equal_names(handles)
     return handles
 
 

@@ -124,6 +124,14 @@ def _handle(region: Field, words: Mapping[str, Any], name: str, weight: float) -
     return Handle(region, rigid_motion(**words), name or repr(region), float(weight), words)
 
 
+def refuse_equal_names(handles: Sequence[Handle]) -> None:
+    """Raise `InputError` if two handles have one name: reports and editors go by it."""
+    names = [handle.name for handle in handles]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError("handles", twice, "two handles have this name", "name them apart")
+
+
 def load_handles(path: str | Path) -> tuple[list[Handle], dict[str, Any]]:
     """Read a handle file.
 

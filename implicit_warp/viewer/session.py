@@ -17,7 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from fields import Field
 from implicit_warp.errors import InputError
-from implicit_warp.handles import Handle, hold, load_handles, move, save_handles
+from implicit_warp.handles import (
+    Handle,
+    hold,
+    load_handles,
+    move,
+    refuse_equal_names,
+    save_handles,
+)
 from implicit_warp.viewer.regions import selected
 
 MOST_UNDO = 200
@@ -277,10 +284,7 @@ def load_edit(path: str | Path, vertices: np.ndarray) -> tuple[EditState, dict]:
         InputError: see `load_handles`; two handles have one name.
     """
     handles, options = load_handles(path)
-    names = [handle.name for handle in handles]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError("handles", twice, "two handles have this name", "name them apart")
+    refuse_equal_names(handles)
     edits = []
     for handle in handles:
         picked = vertices[selected(handle.region, vertices)]
