@@ -89,8 +89,8 @@ def run(options: FitExperiment, progress: Callable[[str], None] = print) -> dict
         "machine": machine_of(records),
         "records": [compact(record) for record in in_order],
     }
-    if options.keep:
-        found = with_rows_of(found, read_results(RESULTS / "fit.json"))
+    if options.keep and (kept := RESULTS / "fit.json").exists():
+        found = with_rows_of(found, read_results(kept))
     options.write("fit", found, tables_of(found))
     if options.pictures:
         from experiments.study.pictures import comparison, convergence

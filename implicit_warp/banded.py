@@ -160,7 +160,7 @@ def _solve(w, u, corners, inner, neighbours, columns, direct, through, half):
             s[at] = (s[at] - _dot(m, diagonal + 1, s, at + 1, width)) * m[diagonal]
             x[inner[g], 0] = r[at]
             x[inner[g], 1] = s[at]
-        for c in range(len(corners)):
+        for c in range(n_centres):
             sx, sy = 0.0, 0.0
             for b in range(4):
                 sx += p[4 * c + b] * x[corners[c, b], 0]

@@ -185,7 +185,7 @@ def test_as_rigid_as_possible_keeps_a_rigid_motion(figures):
 
 # How much the loss (vertex + gradient / 10) falls in a few seconds, with room for slow machines.
 FALLS = {
-    "tuttenet": 15, "realnvp": 1.8, "realnvp_64": 1.5, "i_resnet": 1.02, "neural_ode": 1.2,
+    "tuttenet": 60, "realnvp": 1.8, "realnvp_64": 1.5, "i_resnet": 1.02, "neural_ode": 1.2,
     "cage": 3, "arap": 5,
 }  # fmt: skip
 
